@@ -1,0 +1,68 @@
+"""Every threshold in one frozen struct, units in names, the requirement that needs it beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the rules compare with. `config` builds it from `default.toml`; the defaults here are the same values."""
+
+    # Flight envelope: R8, G6, paper table I
+    lateral_step_m: float = 1.0
+    vertical_step_m: float = 0.5
+    shortest_m: float = 0.1
+    speed_m_s: float = 0.5
+    descend_speed_m_s: float = 0.25
+    acceleration_m_s2: float = 0.5
+    yaw_rate_deg_s: float = 30.0
+    yaw_acceleration_deg_s2: float = 30.0
+    duration_factor: float = 2.0
+    """A plan may take this times its nominal duration, plus duration_extra_s, before it is aborted."""
+    duration_extra_s: float = 3.0
+    speed_tolerance_m_s: float = 0.3
+    """What filtered measured speed may exceed the bound by (gusts)."""
+    # Terrain: R3, R4, G2, G5
+    min_agl_m: float = 2.0
+    clearance_m: float = 1.5
+    obstacle_clearance_m: float = 1.5
+    # Separation: R5, R6, G3
+    separation_m: float = 3.0
+    neighbour_age_s: float = 1.0
+    """tau_max"""
+    neighbour_acceleration_m_s2: float = 2.0
+    """What a neighbour may do beside flying straight on in the age of its state."""
+    horizon_s: float = 10.0
+    """The drone hovers where a plan ends; separation there is checked this far ahead."""
+    # Workspace and session: R7, X1
+    workspace_m: float = 5.0
+    session_m: float = 50.0
+    drift_m_s: float = 0.01
+    """How fast the position estimate may drift against itself since the anchor, 1 sigma; at most the stated sigma."""
+    # Operator: X2
+    standoff_m: float = 3.0
+    # Confidence: R11, G1
+    confidence_voice: float = 0.7
+    confidence_gesture: float = 0.7
+    confidence_panel: float = 0.5
+    localization_min: float = 0.5
+    """L_min; localisation confidence = 1 / (1 + (sigma / localization_half_m)^2)."""
+    localization_half_m: float = 2.0
+    terrain_confidence_min: float = 0.5
+    """T_min; terrain confidence = 1 / (1 + (sigma / terrain_half_m)^2)."""
+    terrain_half_m: float = 2.0
+    telemetry_age_s: float = 0.5
+    """Older telemetry is no telemetry (X6)."""
+    # Uncertainty and the vehicle: X11
+    sigma_k: float = 2.0
+    lag_s: float = 0.8
+    stop_deceleration_m_s2: float = 1.5
+    tracking_m: float = 0.3
+    """Radius of the tube about the path that the vehicle stays in, gusts included."""
+    # Decisions
+    bisection_m: float = 0.01
+    delay_s: float = 3.0
+    fusion_window_s: float = 1.0
+    continue_within_s: float = 30.0
+    return_after_s: float = 2.0

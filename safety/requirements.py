@@ -1,0 +1,41 @@
+"""Every requirement by its stable id. Code, tests, records and operator messages name these ids.
+
+R1..R11: the paper's EARS list in its order; P1..P3: its high-level properties; G1..G6: its guards; X: ours.
+"""
+
+REQUIREMENTS: dict[str, str] = {
+    "R1": "A recognised input is interpreted as a request for a bounded motion primitive.",
+    "R2": "An interpreted request yields a bounded candidate plan.",
+    "R3": "A candidate plan is evaluated against predicted terrain clearance before execution.",
+    "R4": "A plan that would reduce terrain clearance below the threshold is rejected or constrained.",
+    "R5": "A candidate plan is evaluated against predicted positions or reserved volumes of nearby aircraft.",
+    "R6": "A plan that would violate minimum separation is rejected or constrained.",
+    "R7": "Plans stay within the bounded workspace about the anchor.",
+    "R8": "Displacement, velocity and duration stay within the flight envelope.",
+    "R9": "Terrain clearance, separation and workspace are monitored throughout execution.",
+    "R10": "A violated or predicted hard constraint aborts the maneuver into EmergencyHold.",
+    "R11": "Too little confidence in localisation, input or terrain, or stale neighbours, rejects or constrains.",
+    "P1": "Armed is reached only after successful pairing.",
+    "P2": "A request is validated only with enough input confidence and every safety constraint satisfied.",
+    "P3": "An unsafe maneuver is shortened along its original path until safe, else rejected.",
+    "G1": "Input confidence is at least the modality's threshold.",
+    "G2": "Predicted terrain clearance is at least the minimum.",
+    "G3": "Predicted separation is at least the minimum.",
+    "G4": "The plan stays inside the geofence.",
+    "G5": "The plan keeps the minimum altitude above ground.",
+    "G6": "The plan's magnitude is within the maneuver bounds.",
+    "X1": "The session stays within its bound of the place of pairing.",
+    "X2": "The drone keeps the standoff from the operator.",
+    "X3": "The app commands the drone only while it holds authority, and never fights a takeover.",
+    "X4": "STOP holds at once, from any modality at any confidence; no motion follows without a new request.",
+    "X5": "A duplicate never flies twice; contradicting requests are both refused.",
+    "X6": "A missing, stale or unreadable input is a refusal, never a yes.",
+    "X7": "A hung or dead app goes no further than the bounded step it was on.",
+    "X8": "Pairing requires a healthy airborne drone, known operator and the required failsafe parameters.",
+    "X9": "A turn is one slow full rotation that ends facing the operator.",
+    "X10": "Airspace is reserved before flying, and the plan is validated again on grant.",
+    "X11": "Uncertainty, lag and stopping distance count against every required distance.",
+    "X12": "CONTINUE asks anew for what STOP left, through the whole pipeline.",
+    "X13": "A limit already broken admits only plans along which its margin never decreases.",
+    "X14": "A request while another executes interrupts it before it is evaluated.",
+}

@@ -1,0 +1,309 @@
+"""The paper's words as types: requests, primitives, plans, anchors, findings, decisions, modes.
+
+Frozen data only. Positions are local NED metres about the session's origin (`safety.frames`) unless a name
+says otherwise; times are seconds on the caller's monotonic clock. Source: paper section III.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Ned(NamedTuple):
+    """A local position (m) or velocity (m/s): north, east, down."""
+
+    north: float
+    east: float
+    down: float
+
+    @property
+    def norm(self) -> float:
+        return math.sqrt(self.north**2 + self.east**2 + self.down**2)
+
+    @property
+    def horizontal(self) -> float:
+        return math.hypot(self.north, self.east)
+
+    def minus(self, other: Ned) -> Ned:
+        return Ned(self.north - other.north, self.east - other.east, self.down - other.down)
+
+    def plus(self, other: Ned) -> Ned:
+        return Ned(self.north + other.north, self.east + other.east, self.down + other.down)
+
+    @property
+    def finite(self) -> bool:
+        return math.isfinite(self.north) and math.isfinite(self.east) and math.isfinite(self.down)
+
+
+class Geodetic(NamedTuple):
+    """WGS-84 latitude and longitude in degrees, altitude above mean sea level in metres."""
+
+    lat_deg: float
+    lon_deg: float
+    amsl_m: float
+
+
+class Command(StrEnum):
+    """What an operator can ask for. Source: paper table I, design contract."""
+
+    GO_LEFT = "go_left"
+    GO_RIGHT = "go_right"
+    GO_FORWARD = "go_forward"
+    GO_BACK = "go_back"
+    GO_UP = "go_up"
+    GO_DOWN = "go_down"
+    TURN_LEFT = "turn_left"
+    TURN_RIGHT = "turn_right"
+    STOP = "stop"
+    CONTINUE = "continue"
+    ACTIVATE = "activate"
+    DISCONNECT = "disconnect"
+
+
+class Modality(StrEnum):
+    """How it was asked. FUSED: a second modality confirmed the first."""
+
+    VOICE = "voice"
+    GESTURE = "gesture"
+    PANEL = "panel"
+    FUSED = "fused"
+
+
+class Primitive(StrEnum):
+    """The bounded motion a command maps to. Source: paper table I."""
+
+    MOVE_LEFT = "MoveLeft"
+    MOVE_RIGHT = "MoveRight"
+    MOVE_FORWARD = "MoveForward"
+    MOVE_BACKWARD = "MoveBackward"
+    ASCEND = "Ascend"
+    DESCEND = "Descend"
+    SCAN_LEFT = "ControlledYawScanLeft"
+    SCAN_RIGHT = "ControlledYawScanRight"
+    RETURN = "ReturnToAnchor"
+
+    @property
+    def is_scan(self) -> bool:
+        return self in (Primitive.SCAN_LEFT, Primitive.SCAN_RIGHT)
+
+
+PRIMITIVE_OF: dict[Command, Primitive] = {
+    Command.GO_LEFT: Primitive.MOVE_LEFT,
+    Command.GO_RIGHT: Primitive.MOVE_RIGHT,
+    Command.GO_FORWARD: Primitive.MOVE_FORWARD,
+    Command.GO_BACK: Primitive.MOVE_BACKWARD,
+    Command.GO_UP: Primitive.ASCEND,
+    Command.GO_DOWN: Primitive.DESCEND,
+    Command.TURN_LEFT: Primitive.SCAN_LEFT,
+    Command.TURN_RIGHT: Primitive.SCAN_RIGHT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ManeuverRequest:
+    """One thing an operator asked for, as a modality understood it. Source: R1.
+
+    captured_at_s: when the last of the evidence was captured (end of the voice, completing frame, key press);
+    made_at_s: when the modality made the request of it; both on the caller's clock.
+    """
+
+    id: str
+    command: Command
+    modality: Modality
+    confidence: float
+    captured_at_s: float
+    made_at_s: float
+    evidence: str = ""
+    colour: str | None = None
+    """The drone named, for ACTIVATE and DISCONNECT."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """What the session's drone last reported, in the session's local frame."""
+
+    at_s: float
+    """When it arrived."""
+    position: Ned
+    velocity: Ned
+    yaw_deg: float
+    yaw_rate_deg_s: float = 0.0
+    sigma_h_m: float = math.nan
+    """1-sigma horizontal accuracy that the estimator states; NaN: unknown, which refuses moves (X6)."""
+    sigma_v_m: float = math.nan
+    healthy: bool = False
+    in_air: bool = False
+    flight_mode: str = "UNKNOWN"
+    battery: float | None = None
+    """Remaining fraction, 0 to 1."""
+
+    @property
+    def sigma_m(self) -> float:
+        """The larger of the two accuracies: what a 3D distance may be wrong by, 1 sigma. NaN if either is unknown."""
+        if math.isnan(self.sigma_h_m) or math.isnan(self.sigma_v_m):
+            return math.nan
+        return max(self.sigma_h_m, self.sigma_v_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """Where the operator stands. Source: paper III-A, design 1."""
+
+    position: Ned
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A = (x, y, z, psi): where maneuvers start from, and when it was recorded. Source: paper III-D."""
+
+    position: Ned
+    yaw_deg: float
+    at_s: float
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The other aircraft, k of them, as arrays; and when the feed that tells of them was last alive.
+
+    An empty sky is k = 0 with a fresh `feed_at_s`; a dead feed is an old one. Source: R5, R11, design 10.
+    """
+
+    names: tuple[str, ...]
+    positions_ned_m: Floats
+    """(k, 3), as of at_s."""
+    velocities_ned_m_s: Floats
+    """(k, 3)"""
+    sigmas_m: Floats
+    """(k,)"""
+    at_s: Floats
+    """(k,) when each state was captured."""
+    feed_at_s: float
+    """-inf: never heard."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @staticmethod
+    def none(feed_at_s: float) -> Neighbours:
+        """An empty sky, known to be so at feed_at_s."""
+        return Neighbours((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), feed_at_s)
+
+
+@dataclass(frozen=True, slots=True)
+class ReservedVolume:
+    """A capsule of airspace held by somebody for a while (an air lease). Source: R5, X10."""
+
+    holder: str
+    start: Ned
+    end: Ned
+    radius_m: float
+    from_s: float
+    until_s: float
+
+
+@dataclass(frozen=True)
+class Path:
+    """What a plan sweeps: the polyline that the rules are checked on, with the time at each point.
+
+    points_ned_m: (n, 3), n >= 1; times_s: (n,) since the plan's start, rising; stopping distance included.
+    """
+
+    points_ned_m: Floats
+    times_s: Floats
+
+
+@dataclass(frozen=True)
+class Plan:
+    """pi: a timed, bounded, candidate maneuver. Source: R2, paper III-B (primitive attributes)."""
+
+    primitive: Primitive
+    times_s: Floats
+    """(n,) since the start, 1 / 50 s apart."""
+    points_ned_m: Floats
+    """(n, 3)"""
+    yaws_deg: Floats
+    """(n,), unwrapped along the plan."""
+    length_m: float
+    peak_speed_m_s: float
+    peak_yaw_rate_deg_s: float
+    max_duration_s: float
+    """Longer than this and it is aborted."""
+    stop_m: float
+    """How far beyond any point of it the vehicle may coast when told to hold there."""
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.times_s[-1])
+
+    @property
+    def start(self) -> Ned:
+        return Ned(*map(float, self.points_ned_m[0]))
+
+    @property
+    def goal(self) -> Ned:
+        return Ned(*map(float, self.points_ned_m[-1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one rule says of one plan: margin >= 0 passes; so does a broken limit that the plan only mends (design 8).
+
+    margin: signed, in `unit`; None where it does not exist (no neighbours). text: for the operator, with the number.
+    """
+
+    constraint: str
+    requirements: tuple[str, ...]
+    margin: float | None
+    unit: str
+    passed: bool
+    text: str
+
+
+class Verdict(StrEnum):
+    APPROVED = "approved"
+    REDUCED = "reduced"
+    DELAYED = "delayed"
+    REPLACED = "replaced"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of a request and why. Source: paper III-G.
+
+    requested_m, granted_m: None for scans. plan: None unless there is something to fly.
+    """
+
+    request_id: str
+    verdict: Verdict
+    requested_m: float | None
+    granted_m: float | None
+    findings: tuple[Finding, ...]
+    plan: Plan | None = None
+    suggestion: Plan | None = None
+    """What a replacement would be, where replacing is only offered (design 7)."""
+    extra: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def failing(self) -> tuple[Finding, ...]:
+        return tuple(f for f in self.findings if not f.passed)
+
+
+class Mode(StrEnum):
+    """The paper's six modes (III)."""
+
+    NORMAL_AUTONOMY = "NormalAutonomy"
+    ARMED = "ManeuverResponseArmed"
+    ACTIVE = "ManeuverResponseActive"
+    BLOCKED = "Blocked"
+    EMERGENCY_HOLD = "EmergencyHold"
+    RETURN_TO_ANCHOR = "ReturnToAnchor"
