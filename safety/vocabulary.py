@@ -215,42 +215,125 @@ class Path:
     """What a plan sweeps: the polyline that the rules are checked on, with the time at each point.
 
     points_ned_m: (n, 3), n >= 1; times_s: (n,) since the plan's start, rising; stopping distance included.
+    slack_m: how far along it the vehicle may be from where the time says (lag, coasting).
     """
 
     points_ned_m: Floats
     times_s: Floats
+    slack_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Rest to rest over `distance` with bounded speed and acceleration: a trapezoid, or a triangle when short."""
+
+    distance: float
+    speed: float
+    acceleration: float
+
+    @property
+    def peak(self) -> float:
+        """The highest speed reached."""
+        return min(self.speed, math.sqrt(self.distance * self.acceleration))
+
+    @property
+    def duration_s(self) -> float:
+        if self.distance <= 0.0:
+            return 0.0
+        return self.distance / self.peak + self.peak / self.acceleration
+
+    def at(self, t_s: float) -> float:
+        """Distance covered after t_s, clamped to [0, distance]."""
+        if t_s <= 0.0 or self.distance <= 0.0:
+            return 0.0
+        duration_s, peak = self.duration_s, self.peak
+        if t_s >= duration_s:
+            return self.distance
+        ramp_s = peak / self.acceleration
+        if t_s < ramp_s:
+            return 0.5 * self.acceleration * t_s * t_s
+        if t_s <= duration_s - ramp_s:
+            return peak * (t_s - 0.5 * ramp_s)
+        return self.distance - 0.5 * self.acceleration * (duration_s - t_s) ** 2
+
+    def time_at(self, covered: float) -> float:
+        """When `covered` has been covered: the inverse of `at`."""
+        if covered <= 0.0 or self.distance <= 0.0:
+            return 0.0
+        if covered >= self.distance:
+            return self.duration_s
+        peak = self.peak
+        ramp_s = peak / self.acceleration
+        ramp = 0.5 * peak * ramp_s
+        if covered < ramp:
+            return math.sqrt(2.0 * covered / self.acceleration)
+        if covered <= self.distance - ramp:
+            return covered / peak + 0.5 * ramp_s
+        return self.duration_s - math.sqrt(2.0 * (self.distance - covered) / self.acceleration)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """pi: a timed, bounded, candidate maneuver. Source: R2, paper III-B (primitive attributes)."""
+    """pi: a timed, bounded candidate maneuver, in closed form: first a yaw towards the operator if the nose is away, then
+    one straight move, or one full rotation. Source: R2, R8, paper III-B (primitive attributes), design 13.
+
+    goal_yaw_deg: where the nose points at the end; the turn is unwrapped, positive clockwise from above.
+    """
 
     primitive: Primitive
-    times_s: Floats
-    """(n,) since the start, 1 / 50 s apart."""
-    points_ned_m: Floats
-    """(n, 3)"""
-    yaws_deg: Floats
-    """(n,), unwrapped along the plan."""
-    length_m: float
-    peak_speed_m_s: float
-    peak_yaw_rate_deg_s: float
+    start: Ned
+    direction: Ned
+    """Unit vector; zeros for a scan."""
+    move: Profile
+    """Metres, m/s, m/s^2."""
+    start_yaw_deg: float
+    turn_deg: float
+    """Signed yaw from start to end."""
+    turn: Profile
+    """Degrees, deg/s, deg/s^2, of |turn_deg|."""
+    face_first: bool
+    """The turn precedes the move; otherwise they run together."""
     max_duration_s: float
     """Longer than this and it is aborted."""
     stop_m: float
     """How far beyond any point of it the vehicle may coast when told to hold there."""
 
     @property
-    def duration_s(self) -> float:
-        return float(self.times_s[-1])
+    def length_m(self) -> float:
+        return self.move.distance
 
     @property
-    def start(self) -> Ned:
-        return Ned(*map(float, self.points_ned_m[0]))
+    def peak_speed_m_s(self) -> float:
+        return self.move.peak
+
+    @property
+    def peak_yaw_rate_deg_s(self) -> float:
+        return self.turn.peak
+
+    @property
+    def move_from_s(self) -> float:
+        """When the move begins."""
+        return self.turn.duration_s if self.face_first else 0.0
+
+    @property
+    def duration_s(self) -> float:
+        return max(self.move_from_s + self.move.duration_s, self.turn.duration_s)
 
     @property
     def goal(self) -> Ned:
-        return Ned(*map(float, self.points_ned_m[-1]))
+        return self.position(self.duration_s)
+
+    def position(self, t_s: float) -> Ned:
+        """Setpoint t_s after the start, local NED metres."""
+        covered = self.move.at(t_s - self.move_from_s)
+        d = self.direction
+        return Ned(
+            self.start.north + d.north * covered, self.start.east + d.east * covered, self.start.down + d.down * covered
+        )
+
+    def yaw_deg(self, t_s: float) -> float:
+        """Yaw setpoint t_s after the start, unwrapped."""
+        return self.start_yaw_deg + math.copysign(self.turn.at(t_s), self.turn_deg)
 
 
 @dataclass(frozen=True, slots=True)

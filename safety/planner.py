@@ -1,0 +1,120 @@
+"""Intent and state to a bounded candidate plan: pi_cand = Plan(intent, x). Source: R2, R7, R8, paper III-B, III-G."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from safety.frames import bearing_deg, operator_direction, wrap_deg
+from safety.limits import Limits
+from safety.vocabulary import Ned, Path, Plan, Primitive, Profile
+
+SPACING_M = 0.1
+FACING_DEG = 15.0
+"""A nose further off the operator's bearing than this turns before the drone moves."""
+STILL = Ned(0.0, 0.0, 0.0)
+
+
+def full_length_m(primitive: Primitive, limits: Limits) -> float:
+    """How far the primitive goes when nothing shortens it (m); 0 for scans. Source: paper table I."""
+    if primitive.is_scan:
+        return 0.0
+    return limits.vertical_step_m if primitive in (Primitive.ASCEND, Primitive.DESCEND) else limits.lateral_step_m
+
+
+def stopping_m(speed_m_s: float, limits: Limits) -> float:
+    """How far the vehicle coasts when told to hold at this speed: its lag, then braking. Source: X11."""
+    return speed_m_s * limits.lag_s + speed_m_s**2 / (2.0 * limits.stop_deceleration_m_s2)
+
+
+def plan_translation(
+    primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, length_m: float, limits: Limits, slowness: float = 1.0
+) -> Plan:
+    """One straight move of length_m along the operator's direction, ending with the nose on the operator.
+
+    slowness: divides the speed (1 = as fast as the envelope allows). Raises ValueError where the operator's frame has no
+    direction (the drone straight above the operator).
+    """
+    direction = operator_direction(primitive, operator, start)
+    speed_m_s = limits.descend_speed_m_s if primitive is Primitive.DESCEND else limits.speed_m_s
+    return _straight(primitive, start, yaw_deg, operator, direction, length_m, speed_m_s / slowness, limits)
+
+
+def plan_return(start: Ned, yaw_deg: float, operator: Ned, anchor: Ned, limits: Limits) -> Plan:
+    """The straight way back to the anchor at the descent speed. Source: paper III (ReturnToAnchor), design 14."""
+    way = anchor.minus(start)
+    length_m = way.norm
+    direction = Ned(*(c / length_m for c in way)) if length_m > 1e-6 else STILL
+    return _straight(
+        Primitive.RETURN, start, yaw_deg, operator, direction, length_m, limits.descend_speed_m_s, limits
+    )
+
+
+def plan_scan(primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, left_deg: float, limits: Limits) -> Plan:
+    """One slow rotation of left_deg (360 unless continued), ended on the operator's bearing. Source: X9, design 13.
+
+    Left is the operator's left: the nose, which points at the operator, swings to the operator's left (clockwise from
+    above).
+    """
+    sign = 1.0 if primitive is Primitive.SCAN_LEFT else -1.0
+    facing_deg = bearing_deg(start, operator)
+    # The total that ends on the bearing and is nearest to what was asked.
+    turn_deg = sign * left_deg
+    turn_deg += wrap_deg(facing_deg - (yaw_deg + turn_deg))
+    turn = Profile(abs(turn_deg), limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
+    move = Profile(0.0, limits.speed_m_s, limits.acceleration_m_s2)
+    return Plan(
+        primitive, start, STILL, move, yaw_deg, turn_deg, turn, False, _max_duration_s(turn.duration_s, limits), 0.0
+    )
+
+
+def swept(plan: Plan, limits: Limits) -> Path:
+    """The polyline that the rules check: the whole move and the stopping distance beyond its end. Source: X11."""
+    length_m = plan.length_m
+    if length_m <= 0.0:
+        return Path(np.array([plan.start, plan.start]), np.array([0.0, plan.duration_s]))
+    n = max(2, int(np.ceil(length_m / SPACING_M)) + 1)
+    covered_m = [length_m * i / (n - 1) for i in range(n)]
+    times_s = [plan.move_from_s + plan.move.time_at(s) for s in covered_m]
+    if plan.stop_m > 0.0:
+        pieces = max(1, int(np.ceil(plan.stop_m / SPACING_M)))
+        covered_m += [length_m + plan.stop_m * (i + 1) / pieces for i in range(pieces)]
+        end_s = times_s[-1]
+        times_s += [end_s + limits.lag_s * (i + 1) / pieces for i in range(pieces)]
+    points = np.asarray(plan.start) + np.outer(covered_m, plan.direction)
+    return Path(points, np.array(times_s), slack_m=plan.stop_m)
+
+
+def _straight(
+    primitive: Primitive,
+    start: Ned,
+    yaw_deg: float,
+    operator: Ned,
+    direction: Ned,
+    length_m: float,
+    speed_m_s: float,
+    limits: Limits,
+) -> Plan:
+    move = Profile(length_m, speed_m_s, limits.acceleration_m_s2)
+    goal = start.plus(Ned(*(c * length_m for c in direction)))
+    # Straight above the operator there is no bearing to face: keep the nose where it is.
+    facing_deg = bearing_deg(goal, operator) if goal.minus(operator).horizontal > 1e-6 else yaw_deg
+    turn_deg = wrap_deg(facing_deg - yaw_deg)
+    turn = Profile(abs(turn_deg), limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
+    face_first = abs(wrap_deg(bearing_deg(start, operator) - yaw_deg)) > FACING_DEG
+    nominal_s = max(move.duration_s + (turn.duration_s if face_first else 0.0), turn.duration_s)
+    return Plan(
+        primitive,
+        start,
+        direction,
+        move,
+        yaw_deg,
+        turn_deg,
+        turn,
+        face_first,
+        _max_duration_s(nominal_s, limits),
+        stopping_m(move.peak, limits),
+    )
+
+
+def _max_duration_s(nominal_s: float, limits: Limits) -> float:
+    return nominal_s * limits.duration_factor + limits.duration_extra_s
