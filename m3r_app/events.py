@@ -1,0 +1,273 @@
+"""What goes into the arbiter's step, what comes out of it, and what it remembers in between. Frozen data only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from m3r_app.fusion import Remembered
+from m3r_app.modes import MODE_OF, State
+from safety.limits import Limits
+from safety.situation import World
+from safety.vocabulary import (
+    Anchor,
+    Decision,
+    ManeuverRequest,
+    Mode,
+    Ned,
+    Neighbours,
+    Operator,
+    Plan,
+    Primitive,
+    ReservedVolume,
+    VehicleState,
+)
+
+# ---------------------------------------------------------------- events
+
+
+@dataclass(frozen=True, slots=True)
+class Requested:
+    """A modality made a request. latency_ms: end of the evidence to request."""
+
+    request: ManeuverRequest
+    latency_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class PairingAnswered:
+    """The shell's checks before pairing are done. reasons empty: accepted, and authority is ours. Source: X8."""
+
+    colour: str
+    reasons: tuple[str, ...]
+    operator: Operator | None = None
+    world: World | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryArrived:
+    """A new state of the session's drone."""
+
+    vehicle: VehicleState
+
+
+@dataclass(frozen=True, slots=True)
+class NeighboursHeard:
+    """The latest of all other aircraft, with the volumes that others have reserved."""
+
+    neighbours: Neighbours
+    reservations: tuple[ReservedVolume, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReservationAnswered:
+    """The authority's word on a volume. Source: X10."""
+
+    request_id: str
+    answer: Literal["granted", "denied", "expired"]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Stalled:
+    """The guard or the controller dropped what was being flown. Source: X7."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passes, 10 times a second, whether or not anything else happens."""
+
+
+Event = Requested | PairingAnswered | TelemetryArrived | NeighboursHeard | ReservationAnswered | Stalled | Tick
+
+# ---------------------------------------------------------------- effects
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One object of the machine-readable output, also recorded. `fields` is strict JSON but for floats (rounded later)."""
+
+    event: str
+    fields: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Announce:
+    """What the operator is told."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Run the checks before pairing with this drone and put it in Hold; answer with PairingAnswered."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaceOperator:
+    """Hover here, nose to this bearing at the bounded yaw rate."""
+
+    yaw_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fly:
+    """Start streaming this plan now."""
+
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Stop here now, yaw too."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """Ask the airspace authority for this volume."""
+
+    request_id: str
+    volume: ReservedVolume
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Give the volume back."""
+
+    request_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class LetGo:
+    """The session is over. command: put the drone in Hold (or resume its mission); not after a takeover (X3)."""
+
+    command: Literal["hold", "resume", "nothing"]
+
+
+Effect = Report | Announce | Pair | FaceOperator | Fly | Hold | Reserve | Release | LetGo
+
+# ---------------------------------------------------------------- state
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """The choices the design leaves to the user."""
+
+    return_to_anchor: Literal["auto", "ask", "never"] = "auto"
+    on_disconnect: Literal["hold", "resume"] = "hold"
+    replace: Literal["off", "offer"] = "off"
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One operator and one drone, from accepted pairing to release."""
+
+    colour: str
+    operator: Operator
+    world: World
+    accepted_at_s: float
+    anchor: Anchor | None = None
+    centre: Ned | None = None
+    paired_at_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What telemetry says of a maneuver so far."""
+
+    min_clearance_m: float | None = None
+    min_separation_m: float | None = None
+    max_speed_m_s: float = 0.0
+    yaw_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What is being flown. baseline: the margins that were already negative on approval, which may only rise (X13)."""
+
+    request_id: str
+    plan: Plan
+    started_at_s: float
+    origin: Ned
+    last_yaw_deg: float
+    baseline: dict[str, float] = field(default_factory=dict)
+    measured: Measured = Measured()
+
+
+@dataclass(frozen=True, slots=True)
+class Deciding:
+    """A request between detection and its final decision: waiting for airspace, or for a short hindrance to clear."""
+
+    request: ManeuverRequest
+    decision: Decision
+    deadline_s: float
+    length_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Leftover:
+    """What STOP left of a maneuver, for CONTINUE. Source: X12."""
+
+    primitive: Primitive
+    left: float
+    """Metres, or degrees of a scan."""
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """For the `end` event."""
+
+    requests: int = 0
+    approved: int = 0
+    completed: int = 0
+    aborted: int = 0
+    rejected: int = 0
+    violations: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ArbiterState:
+    """All the arbiter remembers."""
+
+    limits: Limits
+    policy: Policy
+    state: State = State.IDLE
+    session: Session | None = None
+    vehicle: VehicleState | None = None
+    speed_m_s: float = 0.0
+    """Filtered, for rest and for the envelope."""
+    neighbours: Neighbours = field(default_factory=lambda: Neighbours.none(float("-inf")))
+    reservations: tuple[ReservedVolume, ...] = ()
+    flight: Flight | None = None
+    deciding: Deciding | None = None
+    pending: ManeuverRequest | None = None
+    recent: tuple[Remembered, ...] = ()
+    leftover: Leftover | None = None
+    settling_since_s: float = 0.0
+    checked_at_s: float = float("-inf")
+    return_at_s: float | None = None
+    """When the announced way back begins; None: none announced."""
+    may_return: bool = False
+    breached: frozenset[str] = frozenset()
+    """Limits that are broken right now, so that each breach is reported once."""
+    tally: Tally = Tally()
+
+    @property
+    def mode(self) -> Mode:
+        return MODE_OF[self.state]
+
+    @property
+    def authority(self) -> bool:
+        """Whether the drone is ours to command. Source: X3."""
+        return self.session is not None
+
+    def but(self, **changes: object) -> ArbiterState:
+        """The same with some fields changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]

@@ -1,0 +1,64 @@
+"""Fusion of modalities: duplicates confirm each other, contradictions are refused. Pure. Source: X5, design 6."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from safety.vocabulary import ManeuverRequest, Modality
+
+
+class Relation(StrEnum):
+    """What a request is to those shortly before it."""
+
+    NEW = "new"
+    CONFIRMS = "confirms"
+    CONTRADICTS = "contradicts"
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """A move, turn or continue of the last moments, and whether it was refused."""
+
+    request: ManeuverRequest
+    refused: bool = False
+
+
+def relate(request: ManeuverRequest, recent: tuple[Remembered, ...], window_s: float) -> tuple[Relation, Remembered | None]:
+    """How `request` relates to the nearest request of another modality within window_s by capture time."""
+    near = [
+        r
+        for r in recent
+        if r.request.modality is not request.modality
+        and abs(request.captured_at_s - r.request.captured_at_s) <= window_s
+    ]
+    if not near:
+        return Relation.NEW, None
+    other = max(near, key=lambda r: r.request.captured_at_s)
+    if other.request.command is request.command:
+        return Relation.CONFIRMS, other
+    return Relation.CONTRADICTS, other
+
+
+def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str) -> ManeuverRequest:
+    """Both as one: independent evidence for the same command leaves only the chance that both are wrong."""
+    confidence = 1.0 - (1.0 - request.confidence) * (1.0 - first.confidence)
+    return replace(
+        request,
+        id=request_id,
+        modality=Modality.FUSED,
+        confidence=confidence,
+        evidence=f"{first.modality}: {first.evidence}; {request.modality}: {request.evidence}",
+    )
+
+
+def remember(
+    recent: tuple[Remembered, ...], request: ManeuverRequest, window_s: float, *, refused: bool = False
+) -> tuple[Remembered, ...]:
+    """`recent` with this request in place of its older self, and without what is too old to matter."""
+    kept = (
+        r
+        for r in recent
+        if r.request.id != request.id and request.captured_at_s - r.request.captured_at_s <= 2.0 * window_s
+    )
+    return (*kept, Remembered(request, refused))

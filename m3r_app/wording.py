@@ -1,0 +1,40 @@
+"""What the operator hears: one short sentence, named by the drone's colour, with the number. Pure."""
+
+from __future__ import annotations
+
+from safety.vocabulary import Decision, Finding, Primitive, Verdict
+
+WORD_OF: dict[Primitive, str] = {
+    Primitive.MOVE_LEFT: "left",
+    Primitive.MOVE_RIGHT: "right",
+    Primitive.MOVE_FORWARD: "forward",
+    Primitive.MOVE_BACKWARD: "back",
+    Primitive.ASCEND: "up",
+    Primitive.DESCEND: "down",
+    Primitive.SCAN_LEFT: "turn left",
+    Primitive.SCAN_RIGHT: "turn right",
+    Primitive.RETURN: "return to anchor",
+}
+
+
+def reasons(findings: tuple[Finding, ...]) -> str:
+    """The sentences of all failing findings, joined."""
+    return "; ".join(f.text for f in findings if not f.passed)
+
+
+def decided(colour: str, what: str, decision: Decision) -> str:
+    """A decision as the operator hears it."""
+    name = colour.capitalize()
+    why = reasons(decision.findings)
+    match decision.verdict:
+        case Verdict.APPROVED:
+            metres = "" if decision.granted_m is None else f" {decision.granted_m:.2f} m"
+            return f"{name}: {what}{metres}"
+        case Verdict.REDUCED:
+            return f"{name}: {what} {decision.granted_m:.2f} m of {decision.requested_m:.2f} m, {why}"
+        case Verdict.DELAYED:
+            return f"{name}: {what} waits a moment, {why}"
+        case Verdict.REPLACED:
+            return f"{name}: not {what} as asked, {why}; say continue to fly it slower"
+        case _:
+            return f"{name}: cannot go {what}, {why}" if not what.startswith("turn") else f"{name}: cannot {what}, {why}"
