@@ -1,0 +1,158 @@
+"""An autopilot of a few lines that does just what a test tells it, for refusals and silences that are hard to provoke.
+
+Speaks MAVLink over loopback UDP like PX4: same modes, acknowledgements and parameter encoding.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import threading
+import time
+from dataclasses import dataclass, field
+
+os.environ.setdefault("MAVLINK20", "1")
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
+
+OFFBOARD, HOLD, MISSION, TAKEOFF, POSCTL = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 4 << 24, 4 << 16 | 2 << 24, 3 << 16
+
+
+@dataclass
+class StandIn:
+    """Sends telemetry to 127.0.0.1:port from a thread until closed; obeys setpoints at once when in Offboard."""
+
+    port: int
+    north_m: float = 1.0
+    east_m: float = 2.0
+    down_m: float = -10.0
+    yaw_deg: float = 30.0
+    mode: int = HOLD
+    armed: bool = True
+    landed: bool = False
+    healthy: bool = True
+    silent: bool = False
+    estimator_m: tuple[float, float] = (0.4, 0.6)
+    gps_m: tuple[float, float] = (0.3, 0.9)
+    parameters: dict[str, float | int] = field(default_factory=dict)
+    refuse: dict[int, str] = field(default_factory=dict)
+    """Command numbers that are denied, and the status text sent with the denial."""
+    deny_first_offboards: int = 0
+    rc_present: bool = False
+    setpoints: list[tuple[float, float, float, float, int]] = field(default_factory=list)
+    """north, east, down, yaw (deg), type mask"""
+    mode_commands: list[int] = field(default_factory=list)
+    hellos: set[tuple[int, int, int]] = field(default_factory=set)
+    """(system, component, type) of whoever sent a heartbeat."""
+
+    def __post_init__(self) -> None:
+        self._link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1)
+        self._mav = self._link.mav
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(2.0)
+        self._link.close()
+
+    def __enter__(self) -> StandIn:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        tick = 0
+        next_s = time.monotonic()
+        while not self._stop.is_set():
+            while (message := self._link.recv_msg()) is not None:
+                if not self.silent:
+                    self._receive(message)
+            if not self.silent:
+                self._send(tick)
+            tick += 1
+            next_s += 0.02
+            self._stop.wait(max(0.0, next_s - time.monotonic()))
+
+    def _send(self, tick: int) -> None:
+        ms = tick * 20
+        mav = self._mav
+        if tick % 50 == 0:
+            base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+            mav.heartbeat_send(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base, self.mode, 4)
+            mav.home_position_send(470000000, 80000000, 500000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+            mav.battery_status_send(0, 0, 0, 2000, [4000] * 10, 100, -1, -1, 73)
+        if tick % 10 == 0:
+            sensors = 1 | 2 | 4 | 8 | 32 | 0x200000
+            healthy = sensors if self.healthy else sensors & ~4
+            present = sensors | (65536 if self.rc_present else 0)
+            mav.sys_status_send(present, present, healthy, 100, 16000, 100, 73, 0, 0, 0, 0, 0, 0)
+            mav.extended_sys_state_send(0, 1 if self.landed else 2)
+            horizontal_m, vertical_m = self.estimator_m
+            mav.estimator_status_send(ms * 1000, 831, 0, 0, 0, 0, 0, 0, horizontal_m, vertical_m)
+            mav.gps_raw_int_send(
+                ms * 1000, 6, 470000000, 80000000, 510000, 80, 120, 0, 0, 12,
+                alt_ellipsoid=510000, h_acc=int(self.gps_m[0] * 1000), v_acc=int(self.gps_m[1] * 1000),
+                vel_acc=100, hdg_acc=0, yaw=0,
+            )  # fmt: skip
+        mav.global_position_int_send(
+            ms, 470000000, 80000000, int(1000 * (500 - self.down_m)), int(-1000 * self.down_m), 0, 0, 0, 0
+        )
+        mav.attitude_send(ms, 0, 0, math.radians(self.yaw_deg), 0, 0, math.radians(5.0))
+        mav.local_position_ned_send(ms, self.north_m, self.east_m, self.down_m, 0.1, 0.2, 0.3)
+
+    def _receive(self, message: object) -> None:
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            self.hellos.add((message.get_srcSystem(), message.get_srcComponent(), message.type))
+        elif kind == "COMMAND_LONG":
+            self._command(message)
+        elif kind == "PARAM_REQUEST_READ":
+            self._tell_parameter(message.param_id)
+        elif kind == "PARAM_SET":
+            if message.param_id in self.parameters:
+                if message.param_type == mavlink.MAV_PARAM_TYPE_REAL32:
+                    self.parameters[message.param_id] = message.param_value
+                else:
+                    self.parameters[message.param_id] = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+            self._tell_parameter(message.param_id)
+        elif kind == "SET_POSITION_TARGET_LOCAL_NED":
+            self.setpoints.append((message.x, message.y, message.z, math.degrees(message.yaw), message.type_mask))
+            if self.mode == OFFBOARD:
+                self.north_m, self.east_m, self.down_m = message.x, message.y, message.z
+
+    def _tell_parameter(self, name: str) -> None:
+        if name not in self.parameters:
+            return
+        value = self.parameters[name]
+        kind = mavlink.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int):
+            kind = mavlink.MAV_PARAM_TYPE_INT32
+            value = struct.unpack("<f", struct.pack("<i", value))[0]
+        self._mav.param_value_send(name.encode(), value, kind, len(self.parameters), 0)
+
+    def _command(self, message: object) -> None:
+        number = message.command
+        result = mavlink.MAV_RESULT_ACCEPTED
+        if number in self.refuse:
+            self._mav.statustext_send(mavlink.MAV_SEVERITY_CRITICAL, self.refuse[number].encode())
+            result = mavlink.MAV_RESULT_DENIED
+        elif number == mavlink.MAV_CMD_DO_SET_MODE:
+            mode = int(message.param2) << 16 | int(message.param3) << 24
+            self.mode_commands.append(mode)
+            if mode == OFFBOARD and self.deny_first_offboards > 0:
+                self.deny_first_offboards -= 1
+                result = mavlink.MAV_RESULT_DENIED
+            else:
+                self.mode = mode
+        elif number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            self.armed = message.param1 > 0.5
+        elif number == mavlink.MAV_CMD_NAV_TAKEOFF:
+            self.mode, self.landed, self.down_m = HOLD, False, self.down_m - float(self.parameters["MIS_TAKEOFF_ALT"])
+        elif number != mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            result = mavlink.MAV_RESULT_UNSUPPORTED
+        self._mav.command_ack_send(number, result, 0, 0, message.get_srcSystem(), message.get_srcComponent())
