@@ -66,6 +66,7 @@ SPEED_FILTER_S = 0.1
 OURS = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 RETURN_ID = "return"
+BACK = Intent(Primitive.RETURN, 0.0)
 
 
 def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState, tuple[Effect, ...]]:
@@ -289,13 +290,13 @@ class _Step:
         if request.command is not Command.CONTINUE:
             return interpret(request, self.state.limits)
         if asked_back:
-            return Intent(Primitive.RETURN, 0.0)
+            return BACK
         left, within_s = self.state.leftover, self.state.limits.continue_within_s
         if left is None:
             return _unmet("contradiction", ("X12",), "there is nothing that stop left to continue")
         if self.now_s - left.at_s > within_s:
             return _unmet("contradiction", ("X12",), f"stop was more than {within_s:.0f} s ago")
-        return Intent(left.primitive, left.left)
+        return Intent(left.primitive, left.left, left.slowness)
 
     def consider(self, request: ManeuverRequest, intent: Intent, *, may_delay: bool) -> None:
         situation = self.situation()
@@ -303,30 +304,31 @@ class _Step:
             self.refuse(request, _unmet("localization", ("R11", "X6"), "nothing has been heard from the drone"))
             self.go(Cause.CONFIDENCE_LOW)
             return
-        decision = decide(
-            request, intent, situation, self.state.limits, may_delay=may_delay, replace=self.state.policy.replace
-        )
+        offer = self.state.policy.replace == "offer"
+        decision = decide(request, intent, situation, self.state.limits, may_delay=may_delay, offer=offer)
         unsure = any(f.constraint == "input_confidence" for f in decision.failing)
         if self.state.state is State.DETECTED:
             self.go(Cause.CONFIDENCE_LOW if unsure else Cause.CONFIDENCE_OK)
         if unsure or decision.verdict in (Verdict.REJECTED, Verdict.REPLACED):
             self.decided(request, decision)
+            if decision.verdict is Verdict.REPLACED:
+                self.be(leftover=Leftover(intent.primitive, intent.amount, self.now_s, decision.slowness))
             self.go(Cause.GUARDS_FAILED)
         elif decision.verdict is Verdict.DELAYED:
             self.decided(request, decision)
             self.go(Cause.DELAY)
             deadline_s = self.now_s + self.state.limits.delay_s
-            self.be(deciding=Deciding(request, decision, deadline_s, intent.amount), checked_at_s=self.now_s)
+            self.be(deciding=Deciding(request, intent, decision, deadline_s), checked_at_s=self.now_s)
         else:
-            self.reserve(request, decision)
+            self.reserve(request, intent, decision)
 
-    def reserve(self, request: ManeuverRequest, decision: Decision) -> None:
+    def reserve(self, request: ManeuverRequest, intent: Intent, decision: Decision) -> None:
         """X10: airspace first, whoever the authority is."""
         if decision.plan is None:
             raise RuntimeError("an approved decision carries its plan")
         self.go(Cause.GUARDS_OK)
         deadline_s = self.now_s + RESERVATION_TIMEOUT_S
-        self.be(deciding=Deciding(request, decision, deadline_s, decision.granted_m))
+        self.be(deciding=Deciding(request, intent, decision, deadline_s))
         volume = swept_volume(decision.plan, self.session.colour, self.vehicle.sigma_m, self.now_s, self.state.limits)
         self.do(Reserve(request.id, volume))
 
@@ -363,7 +365,7 @@ class _Step:
             self.go(Cause.RETURN_APPROVED if self.can(Cause.RETURN_APPROVED) else Cause.VOLUME_GRANTED)
         baseline = {
             f.constraint: f.margin
-            for f in deciding.decision.findings
+            for f in deciding.decision.granted_findings
             if f.passed and f.margin is not None and f.margin < 0.0
         }
         vehicle = situation.vehicle
@@ -512,14 +514,13 @@ class _Step:
         if situation is None or (not over and self.now_s - self.state.checked_at_s < RECHECK_S):
             return
         self.be(checked_at_s=self.now_s)
-        intent = Intent(deciding.decision.primitive, deciding.length_m or 0.0)
         if not over:
-            again = decide(deciding.request, intent, situation, self.state.limits, may_delay=False)
+            again = decide(deciding.request, deciding.intent, situation, self.state.limits, may_delay=False)
             if again.verdict is not Verdict.APPROVED:
                 return
         self.be(deciding=None)
         self.go(Cause.DELAY_OVER)
-        self.consider(deciding.request, intent, may_delay=False)
+        self.consider(deciding.request, deciding.intent, may_delay=False)
 
     def settle(self, cause: Cause) -> None:
         self.be(settling_since_s=self.now_s)
@@ -603,7 +604,7 @@ class _Step:
         actual = frozenset(b.constraint for b in seen.breaches if b.kind == "actual")
         news = [b for b in seen.breaches if b.kind == "actual" and b.constraint not in self.state.breached]
         self.be(breached=actual)
-        aborts = [b for b in seen.breaches if flight is not None and b.constraint not in flight.baseline]
+        aborts = [b for b in seen.breaches if flight is not None and not b.mending]
         if aborts:
             self.emergency(aborts, news)
             return False
@@ -647,7 +648,7 @@ class _Step:
             self.tell(f"returning to the anchor in {limits.return_after_s:.0f} seconds")
         elif self.now_s >= self.state.return_at_s:
             request = ManeuverRequest(RETURN_ID, Command.CONTINUE, "panel", 1.0, self.now_s, self.now_s)  # type: ignore[arg-type]
-            self.be(deciding=Deciding(request, decision, self.now_s + RESERVATION_TIMEOUT_S, None))
+            self.be(deciding=Deciding(request, BACK, decision, self.now_s + RESERVATION_TIMEOUT_S))
             volume = swept_volume(plan, self.session.colour, vehicle.sigma_m, self.now_s, limits)
             self.do(Reserve(RETURN_ID, volume))
 

@@ -9,6 +9,7 @@ from m3r_app.fusion import Remembered
 from m3r_app.modes import MODE_OF, State
 from safety.limits import Limits
 from safety.situation import World
+from safety.supervisor import Intent
 from safety.vocabulary import (
     Anchor,
     Decision,
@@ -205,19 +206,20 @@ class Deciding:
     """A request between detection and its final decision: waiting for airspace, or for a short hindrance to clear."""
 
     request: ManeuverRequest
+    intent: Intent
     decision: Decision
     deadline_s: float
-    length_m: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Leftover:
-    """What STOP left of a maneuver, for CONTINUE. Source: X12."""
+    """What STOP left of a maneuver, or a slower one that was offered instead, for CONTINUE. Source: X12, design 7."""
 
     primitive: Primitive
     left: float
     """Metres, or degrees of a scan."""
     at_s: float
+    slowness: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

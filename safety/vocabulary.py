@@ -7,7 +7,7 @@ says otherwise; times are seconds on the caller's monotonic clock. Source: paper
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -363,18 +363,20 @@ class Verdict(StrEnum):
 class Decision:
     """What became of a request and why. Source: paper III-G.
 
-    requested_m, granted_m: None for scans. plan: None unless there is something to fly.
+    requested_m, granted_m: None for scans. findings: of what was asked; granted_findings: of what was granted.
     """
 
     request_id: str
+    primitive: Primitive
     verdict: Verdict
     requested_m: float | None
     granted_m: float | None
     findings: tuple[Finding, ...]
+    granted_findings: tuple[Finding, ...] = ()
     plan: Plan | None = None
-    suggestion: Plan | None = None
-    """What a replacement would be, where replacing is only offered (design 7)."""
-    extra: dict[str, object] = field(default_factory=dict)
+    """What may be flown; None unless approved or reduced."""
+    slowness: float = 1.0
+    """Where a replacement is offered: how many times slower the same displacement would be safe (design 7)."""
 
     @property
     def failing(self) -> tuple[Finding, ...]:

@@ -1,0 +1,158 @@
+"""The runtime monitor: actual and predicted violation on every telemetry tick. Pure. Source: R9, R10, paper III-C (Monitor).
+
+Actual: the best estimate breaks the bare limit. Predicted: with uncertainty, and the distance it takes to stop from the
+measured velocity, it would.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from safety.constraints import PATH_RULES, Rule
+from safety.limits import Limits
+from safety.planner import SPACING_M, stopping_m
+from safety.situation import Situation
+from safety.vocabulary import Finding, Path, Plan
+
+LOOK_AHEAD_S = 2.0
+"""How far ahead neighbours are extrapolated against a drone that is told to hold now."""
+EASE = 0.05
+"""A limit broken from the start may dip by this (m) under its first margin before it counts: estimator noise (X13)."""
+REACH_M = 4.0
+MONITORED = frozenset(
+    {"terrain_clearance", "agl", "obstacle_clearance", "separation", "workspace", "session", "geofence", "standoff"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A hard constraint that is broken, or will be unless the maneuver is aborted."""
+
+    kind: Literal["predicted", "actual"]
+    constraint: str
+    requirements: tuple[str, ...]
+    margin: float | None
+    unit: str
+    text: str
+    mending: bool = False
+    """It was broken when the plan was approved, and the plan has not made it worse (X13)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What one look says. clearance_m: to terrain and obstacles; separation_m: to the nearest aircraft; None: none there."""
+
+    breaches: tuple[Breach, ...]
+    clearance_m: float | None
+    separation_m: float | None
+
+
+def watch(
+    situation: Situation,
+    plan: Plan | None,
+    elapsed_s: float,
+    speed_m_s: float,
+    baseline: dict[str, float],
+    limits: Limits,
+    rules: tuple[Rule, ...] = PATH_RULES,
+) -> Watch:
+    """Check every hard constraint on the measured state.
+
+    speed_m_s: filtered; elapsed_s: since the plan's start; baseline: margins that were negative on approval, which may
+    only rise (design 8). plan None: hovering.
+    """
+    scene = situation.near(stopping_m(speed_m_s, limits) + REACH_M)
+    monitored = [rule for rule in rules if rule.name in MONITORED]
+    bare = _bare(limits)
+    vehicle = situation.vehicle
+    here = Path(np.array([vehicle.position]), np.zeros(1))
+    now = [rule.check(here, scene, bare) for rule in monitored]
+    breaches = [_breach("actual", f, baseline) for f in now if _negative(f)]
+    if plan is not None:
+        ahead = _stopping_path(situation, limits)
+        wary = _wary(limits)
+        for rule in monitored:
+            finding = rule.check(ahead, scene, wary)
+            if _negative(finding):
+                breaches.append(_breach("predicted", finding, baseline))
+        breaches += _envelope(plan, elapsed_s, speed_m_s, situation, limits)
+    return Watch(
+        tuple(breaches),
+        _least(_distance(now, "terrain_clearance", limits.clearance_m), _distance(now, "obstacle_clearance", limits.obstacle_clearance_m)),
+        _distance(now, "separation", limits.separation_m),
+    )
+
+
+@lru_cache(maxsize=8)
+def _bare(limits: Limits) -> Limits:
+    """The limits themselves: no uncertainty, no tube, nothing ahead."""
+    return replace(limits, sigma_k=0.0, tracking_m=0.0, horizon_s=0.0, neighbour_acceleration_m_s2=0.0)
+
+
+@lru_cache(maxsize=8)
+def _wary(limits: Limits) -> Limits:
+    """Where the drone is measured to be there is no tracking error, but all of the uncertainty."""
+    return replace(limits, tracking_m=0.0, horizon_s=LOOK_AHEAD_S)
+
+
+def _stopping_path(situation: Situation, limits: Limits) -> Path:
+    """From here on along the measured velocity, as far as it takes to stop."""
+    vehicle = situation.vehicle
+    speed_m_s = vehicle.velocity.norm
+    length_m = stopping_m(speed_m_s, limits)
+    if not length_m > 1e-3:
+        return Path(np.array([vehicle.position]), np.zeros(1))
+    n = max(2, math.ceil(length_m / SPACING_M) + 1)
+    fractions = np.linspace(0.0, 1.0, n)
+    direction = np.asarray(vehicle.velocity) / speed_m_s
+    points = np.asarray(vehicle.position) + np.outer(fractions * length_m, direction)
+    return Path(points, fractions * (limits.lag_s + speed_m_s / limits.stop_deceleration_m_s2))
+
+
+def _envelope(plan: Plan, elapsed_s: float, speed_m_s: float, situation: Situation, limits: Limits) -> list[Breach]:
+    """Speed, duration and distance from the planned line. Source: R8, paper III-B (maximum duration, abort conditions)."""
+    bound_m_s = limits.speed_m_s + limits.speed_tolerance_m_s
+    moved = situation.vehicle.position.minus(plan.start)
+    d = plan.direction
+    along_m = moved.north * d.north + moved.east * d.east + moved.down * d.down
+    across_m = math.sqrt(max(0.0, moved.norm**2 - along_m**2))
+    checks = (
+        (bound_m_s - speed_m_s, "m/s", f"it flies {speed_m_s:.2f} m/s, more than {bound_m_s:.2f} m/s"),
+        (plan.max_duration_s - elapsed_s, "s", f"the maneuver took longer than {plan.max_duration_s:.1f} s"),
+        (limits.tracking_m - across_m, "m", f"it is {across_m:.2f} m off the planned line"),
+    )
+    return [
+        Breach("predicted" if unit != "m/s" else "actual", "envelope", ("R8", "R10"), margin, unit, text)
+        for margin, unit, text in checks
+        if not margin >= 0.0
+    ]
+
+
+def _negative(finding: Finding) -> bool:
+    # A path that mends a limit passes with a negative margin; here it is still broken.
+    return not finding.passed or (finding.margin is not None and finding.margin < 0.0)
+
+
+def _breach(kind: Literal["predicted", "actual"], f: Finding, baseline: dict[str, float]) -> Breach:
+    first = baseline.get(f.constraint)
+    mending = first is not None and f.margin is not None and f.margin >= first - EASE
+    return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
+
+
+def _distance(findings: list[Finding], constraint: str, required_m: float) -> float | None:
+    """The distance behind a bare finding; None where nothing is there."""
+    for f in findings:
+        if f.constraint == constraint and f.margin is not None:
+            return f.margin + required_m
+    return None
+
+
+def _least(a: float | None, b: float | None) -> float | None:
+    if a is None or b is None:
+        return a if b is None else b
+    return min(a, b)
