@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,10 @@ class Geofence:
         except ValueError as error:
             raise ValueError(f"geofence: {error}") from None
         return Geofence(polygon, floor_amsl_m, ceiling_amsl_m, origin_amsl_m)
+
+    @property
+    def is_open_above_and_below(self) -> bool:
+        return self.floor_amsl_m == -math.inf and self.ceiling_amsl_m == math.inf
 
     def near(self, centre: Ned, reach_m: float) -> Geofence:
         """The same with only the edges that matter to points within reach_m of centre."""

@@ -33,6 +33,8 @@ class Limits:
     """tau_max"""
     neighbour_acceleration_m_s2: float = 2.0
     """What a neighbour may do beside flying straight on in the age of its state."""
+    silent_speed_m_s: float = 2.0
+    """A neighbour older than that could be anywhere in a ball that grows this much faster than it last flew."""
     horizon_s: float = 10.0
     """The drone hovers where a plan ends; separation there is checked this far ahead."""
     # Workspace and session: R7, X1

@@ -10,14 +10,14 @@ from safety.vocabulary import Anchor, Ned, Neighbours, Operator, ReservedVolume,
 if TYPE_CHECKING:
     from safety.geofence import Geofence
     from safety.obstacles import Obstacles
-    from safety.terrain import Terrain
+    from safety.terrain import Terrain, TerrainPatch
 
 
 @dataclass(frozen=True)
 class World:
     """What stands still. terrain None: unknown, which refuses moves (X6); geofence None: none declared."""
 
-    terrain: Terrain | None
+    terrain: Terrain | TerrainPatch | None
     obstacles: Obstacles
     geofence: Geofence | None
 
@@ -26,7 +26,7 @@ class World:
         return World(
             self.terrain.near(centre, reach_m) if self.terrain is not None else None,
             self.obstacles.near(centre, reach_m),
-            self.geofence,
+            self.geofence.near(centre, reach_m) if self.geofence is not None else None,
         )
 
 

@@ -38,7 +38,8 @@ class Terrain:
     """(2, 2) rows and columns per metre: the inverse of steps_ne_m."""
 
     def __post_init__(self) -> None:
-        heights: Floats = np.ascontiguousarray(self.heights_amsl_m, dtype=np.float64)
+        heights = np.array(self.heights_amsl_m, dtype=np.float64, order="C")
+        heights[~np.isfinite(heights)] = np.nan
         if heights.ndim != 2 or (heights.shape != (1, 1) and min(heights.shape) < 2):
             raise ValueError(f"terrain needs a grid of at least 2 x 2 heights, not {heights.shape}")
         steps = np.array(self.steps_ne_m, dtype=np.float64)
@@ -46,7 +47,8 @@ class Terrain:
             raise ValueError(f"terrain grid steps {self.steps_ne_m} do not span the ground")
         if not all(map(math.isfinite, (*self.corner_ne_m, self.origin_amsl_m))):
             raise ValueError("terrain needs a finite place and altitude for its grid")
-        cells: Floats = np.linalg.inv(steps)
+        (a, b), (c, d) = self.steps_ne_m
+        cells = np.array(((d, -b), (-c, a))) / (a * d - b * c)
         object.__setattr__(self, "heights_amsl_m", heights)
         object.__setattr__(self, "_cells", cells)
         object.__setattr__(self, "slope", _steepest(heights, cells))
@@ -87,15 +89,20 @@ class Terrain:
         agl = up - ground + 0.0 * (h01 + h10)
         return np.asarray(agl if known.all() else np.where(known, agl, np.nan))
 
-    def clearance_m(self, points_ned_m: Floats, reach_m: float = 20.0) -> Floats:
+    def clearance_m(self, points_ned_m: Floats, reach_m: float = 20.0, agl_m: Floats | None = None) -> Floats:
         """(n,) distance of (n, 3) points to the surface, at most reach_m; see `TerrainPatch.clearance_m`."""
-        if not np.isfinite(points_ned_m).all():
-            return np.full(len(points_ned_m), np.nan)
+        distance = self._about(points_ned_m, reach_m).clearance_m(points_ned_m, agl_m)
+        return np.asarray(np.maximum(np.minimum(distance, reach_m), -reach_m))
+
+    def unknown_m(self, points_ned_m: Floats, reach_m: float = 20.0) -> Floats:
+        """(n,) horizontal distance of (n, 3) points to where there is no data, at most reach_m."""
+        return np.asarray(np.minimum(self._about(points_ned_m, reach_m).unknown_m(points_ned_m), reach_m))
+
+    def _about(self, points_ned_m: Floats, reach_m: float) -> TerrainPatch:
+        """The patch that vouches for reach_m about every one of the points."""
         middle = (points_ned_m.min(axis=0) + points_ned_m.max(axis=0)) / 2.0
         radius_m = float(np.sqrt(((points_ned_m - middle) ** 2).sum(axis=1).max()))
-        patch = self.near(Ned(*map(float, middle)), radius_m + reach_m)
-        distance = patch.clearance_m(points_ned_m)
-        return np.asarray(np.maximum(np.minimum(distance, reach_m), -reach_m))
+        return self.near(Ned(*map(float, middle)), radius_m + reach_m)
 
     def near(self, centre: Ned, reach_m: float) -> TerrainPatch:
         """The triangles within reach_m of centre, for many cheap queries about points near it."""

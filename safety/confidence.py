@@ -1,0 +1,73 @@
+"""Constraints on what is known and who may command: context and confidence of the paper, and authority.
+
+Source: paper III-F (context and confidence constraints), R11, G1, P2, X3, X6.
+"""
+
+from __future__ import annotations
+
+import math
+
+from safety.bounds import checked_sigma_m
+from safety.judging import amount, refused
+from safety.limits import Limits
+from safety.situation import Situation
+from safety.vocabulary import Finding, ManeuverRequest, Modality, Path
+
+
+def confidence_of(sigma_m: float, half_m: float) -> float:
+    """1 for a perfect sigma, 1/2 at half_m, towards 0 beyond; NaN if there is no accuracy."""
+    return 1.0 / (1.0 + (checked_sigma_m(sigma_m) / half_m) ** 2)
+
+
+def input_confidence(request: ManeuverRequest, limits: Limits) -> Finding:
+    """InputConfidence(m) >= C_min of the modality. A fused request must satisfy the strictest. Source: R11, G1, P2."""
+    name, requirements = "input_confidence", ("R11", "G1", "P2")
+    required = {
+        Modality.VOICE: limits.confidence_voice,
+        Modality.GESTURE: limits.confidence_gesture,
+        Modality.PANEL: limits.confidence_panel,
+    }.get(request.modality, max(limits.confidence_voice, limits.confidence_gesture, limits.confidence_panel))
+    if not 0.0 <= request.confidence <= 1.0:
+        return refused(name, requirements, "", f"the {request.modality} request has no confidence")
+    margin = request.confidence - required
+    text = f"{request.modality} confidence {request.confidence:.2f}, {required:.2f} needed"
+    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+
+
+def localization(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """LocalizationConfidence >= L_min, of a position that is fresh. Source: R11, X6."""
+    name, requirements = "localization", ("R11", "X6")
+    age_s = abs(situation.now_s - situation.vehicle.at_s)
+    if not age_s <= limits.telemetry_age_s:
+        age = amount(age_s, "s") if math.isfinite(age_s) else "an unknown time"
+        return refused(name, requirements, "", f"the drone's position is {age} old")
+    if not situation.vehicle.position.finite:
+        return refused(name, requirements, "", "the drone's position is unknown")
+    sigma_m = situation.vehicle.sigma_m
+    confidence = confidence_of(sigma_m, limits.localization_half_m)
+    if math.isnan(confidence):
+        return refused(name, requirements, "", "the drone states no position accuracy")
+    margin = confidence - limits.localization_min
+    text = f"position known to {amount(sigma_m)}: confidence {confidence:.2f}, {limits.localization_min:.2f} needed"
+    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+
+
+def terrain_confidence(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """TerrainModelConfidence >= T_min. Source: R11, X6."""
+    name, requirements = "terrain_confidence", ("R11", "X6")
+    terrain = situation.world.terrain
+    if terrain is None:
+        return refused(name, requirements, "", "there is no terrain model")
+    confidence = confidence_of(terrain.sigma_m, limits.terrain_half_m)
+    if math.isnan(confidence):
+        return refused(name, requirements, "", "the terrain model states no accuracy")
+    margin = confidence - limits.terrain_confidence_min
+    text = f"terrain known to {amount(terrain.sigma_m)}: confidence {confidence:.2f}, {limits.terrain_confidence_min:.2f} needed"
+    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+
+
+def authority(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """The app may command the drone. Source: X3, design 4."""
+    held = situation.authority is True
+    text = "this station commands the drone" if held else "this station does not command the drone: pair again"
+    return Finding("authority", ("X3",), None, "", held, text)

@@ -1,0 +1,117 @@
+"""The registry of constraints: Safe(pi, x, T, D, C) is the conjunction of these rules. Source: paper III-F, III-G.
+
+A rule is one named, pure predicate that returns a finding with a margin. A maneuver runs only if every one passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from safety import bounds, confidence
+from safety import separation as others
+from safety.envelope import envelope
+from safety.judging import SPARE_M
+from safety.limits import Limits
+from safety.situation import Situation, World
+from safety.vocabulary import Finding, ManeuverRequest, Ned, Path, Plan
+
+
+class Subject(Enum):
+    """What a rule looks at beside the limits."""
+
+    PATH = "path"
+    """(path, situation, limits)"""
+    PLAN = "plan"
+    """(plan, situation, limits)"""
+    REQUEST = "request"
+    """(request, limits)"""
+
+
+class Rule(NamedTuple):
+    """One constraint by its name, the requirements it serves, and the predicate."""
+
+    name: str
+    requirements: tuple[str, ...]
+    check: Callable[..., Finding]
+    subject: Subject = Subject.PATH
+    hard: bool = False
+    """Violating it in flight is a violation of safety, not only a reason not to start."""
+
+
+RULES: tuple[Rule, ...] = (
+    Rule("authority", ("X3",), confidence.authority),
+    Rule("input_confidence", ("R11", "G1", "P2"), confidence.input_confidence, Subject.REQUEST),
+    Rule("localization", ("R11", "X6"), confidence.localization),
+    Rule("terrain_confidence", ("R11", "X6"), confidence.terrain_confidence),
+    Rule("neighbour_age", ("R11", "X6"), others.neighbour_age),
+    Rule("envelope", ("R8", "G6"), envelope, Subject.PLAN, hard=True),
+    Rule("workspace", ("R7",), bounds.workspace, hard=True),
+    Rule("session", ("X1",), bounds.session, hard=True),
+    Rule("geofence", ("G4",), bounds.geofence, hard=True),
+    Rule("standoff", ("X2",), bounds.standoff, hard=True),
+    Rule("terrain_clearance", ("R3", "R4", "G2"), bounds.terrain_clearance, hard=True),
+    Rule("agl", ("R3", "G5"), bounds.agl, hard=True),
+    Rule("obstacle_clearance", ("R3", "R4", "G2"), bounds.obstacle_clearance, hard=True),
+    Rule("separation", ("R5", "R6", "G3"), others.separation, hard=True),
+    Rule("reservation", ("R5", "X10"), others.reservation),
+)
+
+
+def findings(
+    path: Path,
+    situation: Situation,
+    limits: Limits,
+    plan: Plan | None = None,
+    request: ManeuverRequest | None = None,
+    rules: tuple[Rule, ...] = RULES,
+) -> tuple[Finding, ...]:
+    """What every rule says. Rules about a plan or a request are left out where there is none (a monitored path)."""
+    found = []
+    for rule in rules:
+        if rule.subject is Subject.PATH:
+            found.append(rule.check(path, situation, limits))
+        elif rule.subject is Subject.PLAN:
+            if plan is not None:
+                found.append(rule.check(plan, situation, limits))
+        elif request is not None:
+            found.append(rule.check(request, limits))
+    return tuple(found)
+
+
+def nearby(situation: Situation, path: Path, limits: Limits) -> Situation:
+    """The situation without what cannot fail a rule on this path or a shorter part of it; for many cheap decisions.
+
+    Margins are the same, but those to what stands still are cut off at SPARE_M or more beyond what is required. It holds for
+    paths that start where this one does, stay within its reach, end no later and have no more slack.
+    """
+    points = path.points_ned_m
+    vehicle, terrain = situation.vehicle, situation.world.terrain
+    start = points[0]
+    travel_m = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
+    # The longest of the required distances, and half of the widest gap between samples.
+    required_m = max(limits.clearance_m, limits.obstacle_clearance_m, limits.min_agl_m) + bounds.error_m(
+        vehicle.sigma_m, limits
+    )
+    required_m += limits.sigma_k * (bounds.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
+    reach_m = 2.0 * travel_m + required_m + SPARE_M
+    if not np.isfinite(reach_m) or not np.isfinite(path.times_s[-1]):
+        # Nothing can be left out; the rules will say what is missing.
+        return situation
+    centre = Ned(*map(float, start))
+    world = situation.world
+    return replace(
+        situation,
+        world=World(
+            terrain.near(centre, reach_m) if terrain is not None else None,
+            world.obstacles.near(centre, reach_m),
+            world.geofence.near(centre, reach_m) if world.geofence is not None else None,
+        ),
+        neighbours=others.neighbours_that_matter(
+            situation, start, travel_m, path.slack_m, float(path.times_s[-1]), limits
+        ),
+    )

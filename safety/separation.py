@@ -1,0 +1,203 @@
+"""Constraints on who else: separation in time, reserved volumes, the age of what is known of neighbours.
+
+Source: paper III-F (inter-UAV separation), R5, R6, R11, G3, X10; design 10.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety.bounds import NO_ACCURACY, error_m
+from safety.judging import EPSILON, amount, between, gaps_m, judge, refused, worst
+from safety.limits import Limits
+from safety.situation import Situation
+from safety.vocabulary import Finding, Floats, Neighbours, Path, ReservedVolume
+
+
+def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """Closest approach of the timed path, and of the hover after it, to every neighbour that flies straight on.
+
+    Required is separation_m and all that either position may be wrong by: accuracies, tracking, how far the vehicle may
+    be along its path from where it should be, and the neighbour's possible travel in the age of its state. Source: R5, R6, G3.
+    """
+    name, requirements = "separation", ("R5", "R6", "G3")
+    neighbours = situation.neighbours
+    if not len(neighbours):
+        return Finding(name, requirements, None, "m", True, "no other aircraft")
+    until_s = max(float(path.times_s[-1]), limits.horizon_s)
+    times = np.append(path.times_s, until_s)
+    own = np.concatenate((path.points_ned_m, path.points_ned_m[-1:]))
+    ages = situation.now_s - neighbours.at_s
+    velocities = neighbours.velocities_ned_m_s
+    # (3, n + 1, k): where the drone is as its neighbours see it; straight lines between the times.
+    now = neighbours.positions_ned_m + velocities * ages[:, None]
+    apart = own.T[:, :, None] - now.T[:, None, :] - times[None, :, None] * velocities.T[:, None, :]
+    squares = (apart * apart).sum(axis=0)
+    first, last = squares[:-1], squares[1:]
+    onward = (apart[:, :-1] * apart[:, 1:]).sum(axis=0) - first
+    length = first + last - 2.0 * (onward + first)
+    nearest = np.minimum(first, last)
+    inside = (onward < 0.0) & (-onward < length)
+    dip = first - onward * onward / np.where(inside, length, 1.0)
+    nearest = np.where(inside, np.minimum(nearest, dip), nearest)
+    required = _required_m(neighbours, ages, situation, limits) + path.slack_m
+    margins = np.sqrt(squares) - required
+    least = np.sqrt(np.maximum(nearest, 0.0)) - required
+    lowest = least.min(axis=0)
+    if not np.isfinite(lowest).all():
+        which = neighbours.names[int(np.flatnonzero(~np.isfinite(lowest))[0])]
+        return refused(
+            name, requirements, "m", f"separation from {which} cannot be judged: its state or ours is incomplete"
+        )
+    start = margins[0]
+    # Already too close: admissible if no sample of the path is nearer than the one before it, and the hover not than now.
+    mending = (
+        (start < 0.0)
+        & (len(path.times_s) > 1)
+        & (margins[1:-1] >= margins[:-2] - EPSILON).all(axis=0)
+        & (least[-1] >= start - EPSILON)
+    )
+    passed = (lowest >= -EPSILON) | mending
+    worst_of = np.flatnonzero(~passed) if not passed.all() else np.arange(len(lowest))
+    k = int(worst_of[np.argmin(lowest[worst_of])])
+    margin, who = float(lowest[k]), neighbours.names[k]
+    if margin >= -EPSILON:
+        return Finding(name, requirements, max(margin, 0.0), "m", True, f"{who}: {amount(max(margin, 0.0))} to spare")
+    text = f"{amount(margin)} too close to {who}"
+    if passed[k]:
+        return Finding(name, requirements, margin, "m", True, f"{text} already, and this does not make it worse")
+    return Finding(name, requirements, margin, "m", False, text)
+
+
+def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """No part of the path, nor the hover after it, lies in a volume while somebody else holds it. Source: R5, X10."""
+    name, requirements = "reservation", ("R5", "X10")
+    start_s = situation.now_s + float(path.times_s[0])
+    end_s = situation.now_s + max(float(path.times_s[-1]), limits.horizon_s)
+    if not math.isfinite(end_s):
+        return refused(name, requirements, "m", "reserved volumes cannot be judged: the path has no times")
+    found = [
+        _one_reservation(name, requirements, volume, path, situation, limits)
+        for volume in situation.reservations
+        # A window that is no window (NaN) is not passed over.
+        if not (volume.until_s < start_s or volume.from_s > end_s)
+    ]
+    return worst(found) if found else Finding(name, requirements, None, "m", True, "no reserved volume in the way")
+
+
+def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """Is the feed of neighbours alive, and is nobody who has fallen silent within reach of the path? Source: R11, X6."""
+    name, requirements = "neighbour_age", ("R11", "X6")
+    neighbours, limit_s = situation.neighbours, limits.neighbour_age_s
+    margin = None
+    if neighbours.feed_at_s != math.inf:
+        if not math.isfinite(neighbours.feed_at_s):
+            return refused(name, requirements, "s", "nothing was ever heard of other aircraft")
+        feed_s = abs(situation.now_s - neighbours.feed_at_s)
+        margin = limit_s - feed_s
+        if not margin >= 0.0:
+            return Finding(
+                name, requirements, margin, "s", False, f"other aircraft: last heard {amount(feed_s, 's')} ago"
+            )
+    if len(neighbours):
+        ages = np.abs(situation.now_s - neighbours.at_s)
+        silent = ~(ages <= limit_s)
+        if silent.any():
+            near = silent & ~(_could_be_m(path.points_ned_m, neighbours, ages, situation, limits) > path.slack_m)
+            if near.any():
+                k = int(np.flatnonzero(near)[np.argmax(ages[near])])
+                age_s, who = float(ages[k]), neighbours.names[k]
+                if not math.isfinite(age_s):
+                    return refused(name, requirements, "s", f"{who}: the time of its state is unknown")
+                text = f"{who}: last heard {amount(age_s, 's')} ago, so it could be too close"
+                return Finding(name, requirements, limit_s - age_s, "s", False, text)
+    if margin is None:
+        return Finding(name, requirements, None, "s", True, "flying without neighbour data, as declared")
+    return Finding(name, requirements, margin, "s", True, f"other aircraft: heard {amount(limit_s - margin, 's')} ago")
+
+
+def neighbours_that_matter(
+    situation: Situation, start: Floats, travel_m: float, slack_m: float, until_s: float, limits: Limits
+) -> Neighbours:
+    """Without those that cannot change any finding on a path that stays within travel_m of start and ends by until_s.
+
+    Kept are all that could come too close, and all that could be the closest. A state that is no number is kept.
+    """
+    neighbours = situation.neighbours
+    if len(neighbours) < 2:
+        return neighbours
+    ages = situation.now_s - neighbours.at_s
+    velocities = neighbours.velocities_ned_m_s
+    apart = start - neighbours.positions_ned_m - velocities * ages[:, None]
+    speeds = (velocities * velocities).sum(axis=1)
+    along = (apart * velocities).sum(axis=1) / np.where(speeds > 0.0, speeds, 1.0)
+    apart_then = apart - velocities * np.minimum(np.maximum(along, 0.0), max(until_s, limits.horizon_s))[:, None]
+    required = _required_m(neighbours, ages, situation, limits) + slack_m
+    at_least = np.sqrt((apart_then * apart_then).sum(axis=1)) - travel_m - required
+    at_most = float(np.fmin.reduce(np.sqrt((apart * apart).sum(axis=1)) - required))
+    keep = ~(at_least > max(at_most, 0.0))
+    silent = ~(np.abs(ages) <= limits.neighbour_age_s)
+    if silent.any():
+        could_be = _could_be_m(start[None, :], neighbours, np.abs(ages), situation, limits)
+        keep |= silent & ~(could_be > travel_m + slack_m)
+    which = np.flatnonzero(keep)
+    return replace(
+        neighbours,
+        names=tuple(neighbours.names[i] for i in which),
+        positions_ned_m=neighbours.positions_ned_m[which],
+        velocities_ned_m_s=velocities[which],
+        sigmas_m=neighbours.sigmas_m[which],
+        at_s=neighbours.at_s[which],
+    )
+
+
+def _required_m(neighbours: Neighbours, ages: Floats, situation: Situation, limits: Limits) -> Floats:
+    """(k,) what each neighbour must stay away."""
+    speeds = np.sqrt((neighbours.velocities_ned_m_s**2).sum(axis=1))
+    ages = np.abs(ages)
+    travel = (speeds + 0.5 * limits.neighbour_acceleration_m_s2 * ages) * ages
+    sigmas = np.where(neighbours.sigmas_m >= 0.0, neighbours.sigmas_m, np.nan)
+    own_m = limits.separation_m + error_m(situation.vehicle.sigma_m, limits)
+    return np.asarray(own_m + limits.sigma_k * sigmas + travel)
+
+
+def _could_be_m(points: Floats, neighbours: Neighbours, ages: Floats, situation: Situation, limits: Limits) -> Floats:
+    """(k,) least distance of (n, 3) points to where each neighbour could be by now, less what it must stay away."""
+    apart = points[:, None, :] - neighbours.positions_ned_m[None, :, :]
+    nearest = np.sqrt((apart * apart).sum(axis=2).min(axis=0))
+    if len(points) > 1:
+        steps = points[1:] - points[:-1]
+        nearest = nearest - 0.5 * math.sqrt(float((steps * steps).sum(axis=1).max()))
+    return np.asarray(nearest - _required_m(neighbours, ages, situation, limits) - limits.silent_speed_m_s * ages)
+
+
+def _one_reservation(
+    name: str, requirements: tuple[str, ...], volume: ReservedVolume, path: Path, situation: Situation, limits: Limits
+) -> Finding:
+    margins = _from_capsule(path.points_ned_m, volume) - error_m(situation.vehicle.sigma_m, limits) - path.slack_m
+    times = situation.now_s + path.times_s
+    # A stretch counts if any of its time lies in the window; the hover is the last point until the horizon.
+    arrives, leaves = times, np.append(times[1:], max(float(times[-1]), situation.now_s + limits.horizon_s))
+    counts = ~((arrives > volume.until_s) | (leaves < volume.from_s))
+    held = counts | np.append(False, counts[:-1])
+    if not held.any():
+        return Finding(name, requirements, None, "m", True, "no reserved volume in the way")
+    stretches = between(margins, gaps_m(path))[counts[:-1]]
+    who = volume.holder.replace("{", "{{").replace("}", "}}")
+    return judge(name, requirements, margins[held], stretches, f"volume held by {volume.holder}",
+                 f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}")  # fmt: skip
+
+
+def _from_capsule(points: Floats, volume: ReservedVolume) -> Floats:
+    """(n,) signed distance of (n, 3) points to the capsule."""
+    start = np.array(volume.start)
+    axis = np.array(volume.end) - start
+    length = float(axis @ axis)
+    about = points - start
+    along: NDArray[np.float64] = about @ axis / length if length > 0.0 else np.zeros(len(points))
+    off = about - np.minimum(np.maximum(along, 0.0), 1.0)[:, None] * axis
+    return np.asarray(np.sqrt((off * off).sum(axis=1)) - volume.radius_m)
