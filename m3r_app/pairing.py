@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from m3r_app.telemetry import Telemetry
-from safety.constraints import localization_confidence, terrain_confidence
+from safety.confidence import confidence_of
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.situation import World
@@ -40,13 +40,13 @@ def objections(
     if not (math.isfinite(operator.sigma_m) and operator.sigma_m <= pairing.operator_sigma_max_m):
         found.append(f"the operator's position is not known to {pairing.operator_sigma_max_m:.0f} m")
     found += _distance(telemetry.geodetic, frame, operator, limits, pairing)
-    localization = localization_confidence(max(telemetry.sigma_h_m, telemetry.sigma_v_m), limits)
+    localization = confidence_of(max(telemetry.sigma_h_m, telemetry.sigma_v_m), limits.localization_half_m)
     if not localization >= limits.localization_min:
         found.append(f"its localisation confidence is {_shown(localization)}, {limits.localization_min:.2f} is needed")
     if world.terrain is None:
         found.append('there is no terrain model here; give a scenario or declare terrain = "flat"')
     else:
-        terrain = terrain_confidence(world.terrain.sigma_m, limits)
+        terrain = confidence_of(world.terrain.sigma_m, limits.terrain_half_m)
         if not terrain >= limits.terrain_confidence_min:
             found.append(f"the terrain model's confidence is {_shown(terrain)}, {limits.terrain_confidence_min:.2f} is needed")
     return tuple(found)

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from safety.constraints import PATH_RULES, Rule
+from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
 from safety.planner import SPACING_M, stopping_m
 from safety.situation import Situation
@@ -23,11 +23,6 @@ LOOK_AHEAD_S = 2.0
 """How far ahead neighbours are extrapolated against a drone that is told to hold now."""
 EASE = 0.05
 """A limit broken from the start may dip by this (m) under its first margin before it counts: estimator noise (X13)."""
-REACH_M = 4.0
-MONITORED = frozenset(
-    {"terrain_clearance", "agl", "obstacle_clearance", "separation", "workspace", "session", "geofence", "standoff"}
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Breach:
@@ -59,22 +54,22 @@ def watch(
     speed_m_s: float,
     baseline: dict[str, float],
     limits: Limits,
-    rules: tuple[Rule, ...] = PATH_RULES,
+    rules: tuple[Rule, ...] = RULES,
 ) -> Watch:
     """Check every hard constraint on the measured state.
 
     speed_m_s: filtered; elapsed_s: since the plan's start; baseline: margins that were negative on approval, which may
     only rise (design 8). plan None: hovering.
     """
-    scene = situation.near(stopping_m(speed_m_s, limits) + REACH_M)
-    monitored = [rule for rule in rules if rule.name in MONITORED]
+    ahead = _stopping_path(situation, limits)
+    scene = nearby(situation, ahead, limits)
+    monitored = [rule for rule in rules if rule.hard and rule.subject is Subject.PATH]
     bare = _bare(limits)
     vehicle = situation.vehicle
     here = Path(np.array([vehicle.position]), np.zeros(1))
     now = [rule.check(here, scene, bare) for rule in monitored]
     breaches = [_breach("actual", f, baseline) for f in now if _negative(f)]
     if plan is not None:
-        ahead = _stopping_path(situation, limits)
         wary = _wary(limits)
         for rule in monitored:
             finding = rule.check(ahead, scene, wary)

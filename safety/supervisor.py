@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from safety.constraints import PATH_RULES, Rule, envelope, input_confidence
+from safety.constraints import RULES, Rule, Subject, findings, nearby
 from safety.limits import Limits
 from safety.planner import full_length_m, plan_return, plan_scan, plan_translation, swept
 from safety.situation import Situation
@@ -24,8 +24,6 @@ from safety.vocabulary import (
     Verdict,
 )
 
-REACH_M = 4.0
-"""Beyond a plan's end, nothing further away than the required distances plus this is looked at."""
 FULL_TURN_DEG = 360.0
 PASSING = frozenset({"separation", "reservation", "neighbour_age"})
 """Constraints that may clear by themselves: somebody flies on, a lease ends, a state gets fresh."""
@@ -62,20 +60,15 @@ def propose(intent: Intent, situation: Situation, limits: Limits) -> Plan:
 
 
 def assess(
-    plan: Plan, request: ManeuverRequest | None, situation: Situation, limits: Limits, rules: Iterable[Rule] = PATH_RULES
+    plan: Plan, request: ManeuverRequest | None, situation: Situation, limits: Limits, rules: tuple[Rule, ...] = RULES
 ) -> tuple[Finding, ...]:
     """Every rule's finding on the plan; all are reported, not the first. request None: nobody asked (return)."""
-    path = swept(plan, limits)
-    findings = [rule.check(path, situation, limits) for rule in rules]
-    findings.append(envelope(plan, situation, limits))
-    if request is not None:
-        findings.append(input_confidence(request, limits))
-    return tuple(findings)
+    return findings(swept(plan, limits), situation, limits, plan, request, rules)
 
 
-def safe(findings: Iterable[Finding]) -> bool:
+def safe(found: Iterable[Finding]) -> bool:
     """Safe := the conjunction."""
-    return all(f.passed for f in findings)
+    return all(f.passed for f in found)
 
 
 def decide(
@@ -86,7 +79,7 @@ def decide(
     *,
     may_delay: bool = True,
     offer: bool = False,
-    rules: tuple[Rule, ...] = PATH_RULES,
+    rules: tuple[Rule, ...] = RULES,
 ) -> Decision:
     """What becomes of a request in this situation. Never raises for bad data: what cannot be judged is rejected."""
     try:
@@ -109,31 +102,27 @@ def decide_plan(
     *,
     may_delay: bool = False,
     offer: bool = False,
-    rules: tuple[Rule, ...] = PATH_RULES,
+    rules: tuple[Rule, ...] = RULES,
 ) -> Decision:
     """Filter(pi_cand, T, D, C): approve, delay, shorten, offer a slower one, or reject.
 
     intent None: the plan is all or nothing.
     """
-    scene = situation.near(plan.length_m + plan.stop_m + REACH_M)
-    findings = assess(plan, request, scene, limits, rules)
+    scene = nearby(situation, swept(plan, limits), limits)
+    found = assess(plan, request, scene, limits, rules)
     asked_m = None if plan.primitive.is_scan else plan.length_m
-    if safe(findings):
-        return Decision(request_id, plan.primitive, Verdict.APPROVED, asked_m, asked_m, findings, findings, plan)
-    no = Decision(request_id, plan.primitive, Verdict.REJECTED, asked_m, None, findings)
+    if safe(found):
+        return Decision(request_id, plan.primitive, Verdict.APPROVED, asked_m, asked_m, found, found, plan)
+    no = Decision(request_id, plan.primitive, Verdict.REJECTED, asked_m, None, found)
     if intent is None:
         return no
-    if may_delay and clears_within(plan, findings, situation, limits, rules):
+    if may_delay and clears_within(plan, found, situation, limits, rules):
         return replace(no, verdict=Verdict.DELAYED)
-    shorter = shorten(plan, request, findings, intent, scene, limits, rules)
+    shorter = shorten(plan, request, found, intent, scene, limits, rules)
     if shorter is not None:
         granted, granted_findings = shorter
         return replace(
-            no,
-            verdict=Verdict.REDUCED,
-            granted_m=granted.length_m,
-            granted_findings=granted_findings,
-            plan=granted,
+            no, verdict=Verdict.REDUCED, granted_m=granted.length_m, granted_findings=granted_findings, plan=granted
         )
     slowness = slower(request, intent, scene, limits, rules) if offer else None
     return no if slowness is None else replace(no, verdict=Verdict.REPLACED, slowness=slowness)
@@ -142,11 +131,11 @@ def decide_plan(
 def shorten(
     plan: Plan,
     request: ManeuverRequest | None,
-    findings: tuple[Finding, ...],
+    found: tuple[Finding, ...],
     intent: Intent,
     scene: Situation,
     limits: Limits,
-    rules: tuple[Rule, ...] = PATH_RULES,
+    rules: tuple[Rule, ...] = RULES,
 ) -> tuple[Plan, tuple[Finding, ...]] | None:
     """The longest safe plan along the same line, to the bisection step; None if none of the shortest length is safe.
 
@@ -155,8 +144,8 @@ def shorten(
     """
     if plan.primitive.is_scan or plan.length_m <= limits.shortest_m:
         return None
-    by_name = {rule.name: rule for rule in rules}
-    failing = {f.constraint for f in findings if not f.passed}
+    by_name = {rule.name: rule for rule in rules if rule.subject is Subject.PATH}
+    failing = {f.constraint for f in found if not f.passed}
     while failing <= by_name.keys():
         bisected = [by_name[name] for name in by_name if name in failing]
 
@@ -182,10 +171,10 @@ def shorten(
 
 
 def clears_within(
-    plan: Plan, findings: tuple[Finding, ...], situation: Situation, limits: Limits, rules: tuple[Rule, ...]
+    plan: Plan, found: tuple[Finding, ...], situation: Situation, limits: Limits, rules: tuple[Rule, ...]
 ) -> bool:
     """Whether the one failing constraint is about to clear by itself. Source: design 7 (delayed)."""
-    failing = [f.constraint for f in findings if not f.passed]
+    failing = [f.constraint for f in found if not f.passed]
     if len(failing) != 1 or failing[0] not in PASSING:
         return False
     if failing[0] == "neighbour_age":
