@@ -1,0 +1,75 @@
+"""`python -m m3r_app.sim`: the simulated fleet as a process of its own.
+
+When ready it prints one JSON line with the addresses to listen at, and flies until it is told to end (SIGTERM, SIGINT)
+or, with --die-with-parent, until its standard input is closed, which happens however its parent ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+
+from m3r_app.scenario import SHIPPED, load_scenario
+from m3r_app.sim.fleet import Fleet
+
+FIRST_PORT = 14540
+"""PX4's own first offboard port."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the fleet; 0 when told to end, 2 on bad input."""
+    parser = argparse.ArgumentParser(prog="m3r sim", description="Fly a simulated fleet for other tools.")
+    parser.add_argument("--scenario", type=Path, default=SHIPPED / "hillside.toml", help="scenario file (TOML)")
+    parser.add_argument(
+        "--port-base", type=int, default=FIRST_PORT, help="UDP port of the first drone's ground station (14540)"
+    )
+    parser.add_argument("--truth", type=Path, help="write every drone's true state there, JSON lines")
+    parser.add_argument("--die-with-parent", action="store_true", help="end when standard input closes")
+    options = parser.parse_args(arguments)
+    truth = None
+    try:
+        scenario = load_scenario(options.scenario)
+        count = len(scenario.vehicles) + len(scenario.traffic)
+        if not 1024 <= options.port_base <= 65536 - count:
+            raise ValueError(f"--port-base {options.port_base}: {count} ports from 1024 to 65535 are needed")
+        truth = options.truth.open("w", encoding="utf-8") if options.truth else None
+        fleet = Fleet(scenario, options.port_base, truth)
+    except OSError as error:
+        print(f"{error.filename or 'network'}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    ended = False
+
+    def end(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal ended
+        ended = True
+
+    def stopped() -> bool:
+        return ended or (options.die_with_parent and _input_closed())
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    print(json.dumps({"vehicles": fleet.vehicles, "traffic": fleet.traffic}), flush=True)
+    fleet.run(stopped)
+    fleet.close()
+    if truth is not None:
+        truth.close()
+    return 0
+
+
+def _input_closed() -> bool:
+    """Standard input has reached its end."""
+    readable, _, _ = select.select([0], [], [], 0.0)
+    return bool(readable) and not os.read(0, 4096)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
