@@ -159,7 +159,7 @@ class Slots:
         self.rc_present: Slot[bool] = Slot()
 
     def snapshot(self, now_s: float) -> Telemetry:
-        """All of it as one value; what is too old is unknown. Positions stay, with their age for the caller to judge."""
+        """All of it as one value; what is too old is unknown. Positions stay: the caller judges their age."""
         held = self.local.value
         health = self.health.fresh(now_s, MODE_AGE_S)
         failing = NO_HEALTH if health is None else health.failing

@@ -1,9 +1,10 @@
 """One vehicle over MAVSDK 4: telemetry into latest-value slots, position setpoints, modes, parameters.
 
 MAVSDK runs in this process. Its calls are used with their own callbacks and not through `mavsdk.asyncio`, which queues
-every stream without bound and puts every command behind one thread pool. Callbacks arrive on MAVSDK's threads: they stamp
-the arrival, fill a slot and wake the event loop at most once. An acknowledged command proves little (PX4 acknowledges a
-take-off while disarmed), so what matters is read back from telemetry. We are a ground station on the link (R1, X3, X6).
+every stream without bound and puts every command behind one thread pool. Callbacks arrive on MAVSDK's threads: they
+stamp the arrival, fill a slot and wake the event loop at most once. An acknowledged command proves little (PX4
+acknowledges a take-off while disarmed), so what matters is read back from telemetry. We are a ground station on the
+link: PX4 may refuse to arm for what calls itself a companion computer (X3, X6).
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ OFFBOARD_RETRY_S = 2.0
 """PX4 denies Offboard until it has seen setpoints: how long to ask again."""
 HEALTH_WAIT_S = 3.0
 """The home position, which health needs, comes every two seconds."""
+OUR_MODES = ("OFFBOARD", "HOLD", None)
+"""The modes a vehicle is in while we command it; None: not heard yet."""
 REASON_WAIT_S = 0.3
 """A refusal's reason comes as status text, shortly before or after the refusal."""
 
@@ -133,9 +136,21 @@ class Vehicle:
         """Call listener in the event loop at each new position, with the latest of everything."""
         self._listeners.append(listener)
 
+    def off_telemetry(self, listener: Callable[[Telemetry], None]) -> None:
+        """Do not call listener any more."""
+        if listener in self._listeners:
+            self._listeners.remove(listener)
+
     def telemetry(self) -> Telemetry:
         """The latest of everything, now. Silence is seen in its ages."""
         return self._reception.slots.snapshot(self._clock())
+
+    def here(self) -> tuple[Ned, float] | None:
+        """Own local position and yaw (deg) now; None if they are unknown or stale."""
+        telemetry = self.telemetry()
+        if telemetry.local is None or not telemetry.age_s(self._clock()) <= SETPOINT_AGE_S:
+            return None
+        return telemetry.local, telemetry.yaw_deg
 
     async def wait_for(self, condition: Callable[[Telemetry], bool], timeout_s: float, what: str) -> Telemetry:
         """The first telemetry that fulfils condition. Raises VehicleError naming `what` if none does in time."""
@@ -217,6 +232,14 @@ class Vehicle:
             raise VehicleError(f"{self.colour}: Hold was sent and not acknowledged within {timeout_s:g} s.")
         if results[0].name != "SUCCESS":
             raise VehicleError(f"{self.colour}: Hold was answered with {results[0].name}.")
+
+    def hold_unless_taken_over(self, timeout_s: float) -> None:
+        """What the guard calls: as hold_blocking, but nothing where the flight mode says that somebody took over (X3).
+
+        The mode is the latest heard by MAVSDK's threads: it is known even while the event loop is stuck.
+        """
+        if self._reception.slots.flight_mode.value in OUR_MODES:
+            self.hold_blocking(timeout_s)
 
     async def takeoff(self, metres: float, timeout_s: float = 60.0) -> None:
         """Arm, take off to `metres` above here and wait there in Hold. Gated on health by us. Raises VehicleError."""
