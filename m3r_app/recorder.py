@@ -56,13 +56,13 @@ class Recorder:
     def __init__(self, path: Path, metadata: Mapping[str, object], on_failure: Callable[[str], None]) -> None:
         """Open `path` and write the metadata (app version, settings, scenario, model: anything `plain` can take).
 
-        on_failure: called at most once, on the writing thread, with a sentence, if writing fails later or falls behind.
+        on_failure: called on the writing thread, with a sentence, the first time that messages are lost and if writing fails.
         Raises RecordError where the file cannot be written, or holds something that is no flight record.
         """
         self._path = path
         self._on_failure = on_failure
         self._failed = False
-        self._complained = False
+        self._told_of_gaps = False
         self._dropped = 0
         self._dropped_lock = threading.Lock()
         self._closing = threading.Event()
@@ -115,15 +115,19 @@ class Recorder:
                     self._write_gap(t_s, log_ns)
                 if self._queue.empty():
                     self._file.flush()
-            except Exception as error:  # noqa: BLE001  (nothing that recording does may reach the flight)
-                self._fail(error)
+            except OSError as error:
+                self._fail(error.strerror or str(error))
+            except Exception as error:  # noqa: BLE001  (one message that no JSON can hold must not end the record)
+                with self._dropped_lock:
+                    self._dropped += 1
+                self._tell_of_gaps(f"one {topic} message could not be written ({type(error).__name__})")
         if self._failed:
             return
         try:
             self._mcap.finish()  # type: ignore[no-untyped-call]
             self._file.close()
-        except (OSError, ValueError) as error:
-            self._fail(error)
+        except OSError as error:
+            self._fail(error.strerror or str(error))
 
     def _write(self, topic: str, t_s: float, log_ns: int, data: Mapping[str, object]) -> None:
         message = plain(dict(data), lossless=True) | {"t": t_s}
@@ -135,7 +139,7 @@ class Recorder:
         """Say in the record itself that messages are missing here."""
         with self._dropped_lock:
             dropped, self._dropped = self._dropped, 0
-        self._complain(f"flight record {self._path} has gaps: writing it falls behind")
+        self._tell_of_gaps("writing it falls behind")
         self._write("record_gap", t_s, log_ns, {"dropped": dropped})
 
     def _add(self, topic: str, schema: str, message: Mapping[str, Any], log_ns: int) -> None:
@@ -148,16 +152,15 @@ class Recorder:
             self._channels[topic] = channel
         self._mcap.add_message(channel, log_ns, json.dumps(message, allow_nan=False).encode(), log_ns)
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, reason: str) -> None:
         self._failed = True
         self._abandon_file()
-        reason = (error.strerror if isinstance(error, OSError) else None) or f"{type(error).__name__}: {error}"
-        self._complain(f"flight record {self._path} is incomplete from here on: {reason}")
+        self._on_failure(f"flight record {self._path} is incomplete from here on: {reason}")
 
-    def _complain(self, sentence: str) -> None:
-        if not self._complained:
-            self._complained = True
-            self._on_failure(sentence)
+    def _tell_of_gaps(self, reason: str) -> None:
+        if not self._told_of_gaps:
+            self._told_of_gaps = True
+            self._on_failure(f"flight record {self._path} has gaps: {reason}")
 
     def _abandon_file(self) -> None:
         try:

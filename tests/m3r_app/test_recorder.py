@@ -270,18 +270,22 @@ def test_a_disk_that_fills_is_reported_once_and_stops_nothing(tmp_path: Path) ->
     assert len(read) > 50
 
 
-def test_a_message_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+def test_a_message_that_cannot_be_written_leaves_a_gap_that_is_told(tmp_path: Path) -> None:
     told: list[str] = []
     path = tmp_path / "flight.mcap"
     made = Recorder(path, {}, told.append)
     loop: dict[str, Any] = {}
     loop["self"] = loop
-    made.record("input", 0.0, loop)
-    made.record("input", 0.1, {})
+    for i in range(3):
+        made.record("input", float(i), loop if i == 1 else {})
     made.close()
-    assert len(told) == 1
-    assert "RecursionError" in told[0]
-    assert not read_header(path).complete
+    assert told == [f"flight record {path} has gaps: one input message could not be written (RecursionError)"]
+    assert [(topic, t_s) for topic, t_s, _ in read_record(path)] == [
+        ("input", 0.0),
+        ("input", 2.0),
+        ("record_gap", 2.0),
+    ]
+    assert read_header(path).complete
 
 
 def test_falling_behind_is_said_in_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
