@@ -1,8 +1,8 @@
 """The guard, in two layers, both active only while the app holds authority (X3, X7).
 
 MAVSDK re-sends the last setpoint from its own thread even while Python is frozen, so the autopilot does not notice a
-hung app. Therefore: a thread that is not the event loop commands Hold soon after the control loop's last sign of life;
-and a small process (`m3r_app.guard_process`) kills an app whose guard thread itself falls silent, so that setpoints stop
+hung app. So a thread that is not the event loop commands Hold soon after the control loop's last sign of life; and a
+small process (`m3r_app.guard_process`) kills an app whose guard thread itself falls silent, so that setpoints stop
 and the autopilot's own failsafe acts. The guard keeps real time, not the app's clock: frozen is frozen.
 """
 
@@ -93,7 +93,7 @@ class Guard:
         return None if self._process is None else self._process.pid
 
     def arm(self, hold: Callable[[float], None]) -> None:
-        """Authority gained, or a stall dealt with. hold(timeout_s) commands Hold from any thread, raising if it fails."""
+        """Authority gained, or a stall dealt with. hold(timeout_s) commands Hold from any thread or raises."""
         with self._lock:
             self._beat_at_s = real_time_s()
             self._stalled = False

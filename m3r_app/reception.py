@@ -66,7 +66,7 @@ class Reception:
         direct.subscribe_message("SYS_STATUS", self._sys_status)
 
     def request_rates(self, motion_hz: float) -> None:
-        """Ask for position and attitude at motion_hz, the rest slower. A refusal shows in the ages, which are checked."""
+        """Ask for position and attitude at motion_hz, the rest slower. Refusals show in the ages, which are judged."""
 
         def answered(result: Any, _: Any) -> None:
             return

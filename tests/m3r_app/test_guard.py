@@ -28,8 +28,7 @@ APP = """
         os.write(1, (" ".join(map(str, words)) + "\\n").encode())
 
     def stick():
-        stuck_at_s = time.monotonic()
-        kind = sys.argv[1]
+            kind = sys.argv[1]
         say("stuck")
         if kind == "block":
             time.sleep(3.0)
@@ -169,8 +168,8 @@ def test_app_and_process_stopped_together_wake_to_a_hold_not_to_a_kill() -> None
         time.sleep(1.2)  # the suspension itself
         os.kill(guard_pid, signal.SIGCONT)
         both.process.send_signal(signal.SIGCONT)
-        assert float(both.hear("hold")[1]) >= 1.0
-        both.hear("dropped")
+        both.hear("hold")
+        assert "the guard commanded Hold" in " ".join(both.hear("report"))
         assert not gone(guard_pid)
         assert both.process.poll() is None
 
@@ -199,7 +198,7 @@ def test_the_guard_process_ends_with_the_app(how: str) -> None:
 @pytest.fixture
 def guarded() -> Iterator[tuple[Guard, list[str]]]:
     reports: list[str] = []
-    guard = Guard(reports.append, hold_after_s=0.15)
+    guard = Guard(reports.append, hold_after_s=0.3)
     guard.start()
     yield guard, reports
     guard.close()
@@ -238,7 +237,7 @@ def test_a_listener_that_raises_does_not_take_the_guard_down() -> None:
     def report(_: str) -> None:
         raise RuntimeError("the loop is closed")
 
-    guard = Guard(report, hold_after_s=0.15)
+    guard = Guard(report, hold_after_s=0.3)
     guard.start()
     held = threading.Event()
     try:
