@@ -38,19 +38,24 @@ def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Findi
     terrain = situation.world.terrain
     if terrain is None:
         return refused(name, requirements, "m", "no terrain model: clearance cannot be judged")
-    _, clearance, unknown = _profile(path, terrain)
+    _, clearance = _profile(path, terrain)
     sigma_m = situation.vehicle.sigma_m
     required_m = limits.clearance_m + error_m(sigma_m, limits) + limits.sigma_k * checked_sigma_m(terrain.sigma_m)
-    gaps = _gaps(path)
-    # Where the model has no data there may be anything: it must be as far away, horizontally, as terrain must be.
-    apart_m = limits.clearance_m + error_m(sigma_m, limits)
-    if _comes_within(unknown, gaps, apart_m):
-        return refused(name, requirements, "m", f"no terrain data within {apart_m:.1f} m of the path")
-    margins = np.minimum(clearance - required_m, unknown - apart_m)
-    return judge(
-        name, requirements, margins, between(margins, gaps), "terrain", "{} too close to the terrain",
-        _terrain_unknown("terrain clearance", required_m, terrain), far=True,
-    )  # fmt: skip
+    margins = clearance - required_m
+    found = judge(
+        name,
+        requirements,
+        margins,
+        between(margins, _gaps(path)),
+        "terrain",
+        "{} too close to the terrain",
+        _terrain_unknown("terrain clearance", required_m, terrain),
+        far=True,
+    )
+    # Where the model has no data there may be anything, so it keeps the same distance, and there is no way out of it.
+    if found.margin is not None and found.margin < 0.0 and _misses(path, terrain, required_m):
+        return refused(name, requirements, "m", f"no terrain data within {required_m:.1f} m of the path")
+    return found
 
 
 def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -63,11 +68,11 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
     terrain = situation.world.terrain
     if terrain is None:
         return refused(name, requirements, "m", "no terrain model: height above ground cannot be judged")
-    height, clearance, unknown = _profile(path, terrain)
+    height, clearance = _profile(path, terrain)
     vehicle, k = situation.vehicle, limits.sigma_k
     gaps = _gaps(path)
     level_m = error_m(vehicle.sigma_h_m, limits)
-    if _comes_within(unknown, gaps, level_m):
+    if not terrain.is_complete and _misses(path, terrain, level_m):
         return refused(name, requirements, "m", "no terrain data under the path")
     terrain_m = k * checked_sigma_m(terrain.sigma_m)
     stretch = math.hypot(1.0, terrain.slope)
@@ -157,23 +162,23 @@ def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 
 @once
-def _profile(path: Path, terrain: Terrain | TerrainPatch) -> tuple[Floats, Floats, Floats]:
-    """(n,) height above ground, distance to the surface, horizontal distance to where there is no data."""
-    points = path.points_ned_m
-    if not np.isfinite(points).all():
-        nothing = np.full(len(points), np.nan)
-        return nothing, nothing, nothing
-    height = terrain.agl_m(points)
-    return height, terrain.clearance_m(points, agl_m=height), terrain.unknown_m(points)
+def _profile(path: Path, terrain: Terrain | TerrainPatch) -> tuple[Floats, Floats]:
+    """(n,) height above ground and distance to the ground."""
+    if not np.isfinite(path.points_ned_m).all():
+        nowhere = np.full(len(path.points_ned_m), np.nan)
+        return nowhere, nowhere
+    height = terrain.agl_m(path.points_ned_m)
+    return height, terrain.clearance_m(path.points_ned_m, agl_m=height)
 
 
 _gaps = once(gaps_m)
 
 
-def _comes_within(unknown: Floats, gaps: Floats, apart_m: float) -> bool:
-    """Is data missing within apart_m of the path? NaN (no path, no accuracy) is left to the margins."""
-    low = unknown.min() if len(unknown) == 1 else between(unknown, gaps).min()
-    return bool(low < apart_m)
+def _misses(path: Path, terrain: Terrain | TerrainPatch, apart_m: float) -> bool:
+    """Does the path come within apart_m, horizontally, of where there is no data?"""
+    unknown = terrain.unknown_m(path.points_ned_m)
+    lowest = min(float(unknown.min()), float(between(unknown, _gaps(path)).min(initial=math.inf)))
+    return lowest < apart_m
 
 
 def _terrain_unknown(what: str, required_m: float, terrain: Terrain | TerrainPatch) -> str:

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety.vocabulary import Floats, Ned
 
@@ -36,6 +37,8 @@ class Terrain:
     """The steepest that any triangle of it is, rise over run."""
     _cells: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros((2, 2)))
     """(2, 2) rows and columns per metre: the inverse of steps_ne_m."""
+    _complete: bool = field(init=False, repr=False, default=False)
+    """There is no node without data."""
 
     def __post_init__(self) -> None:
         heights = np.array(self.heights_amsl_m, dtype=np.float64, order="C")
@@ -51,6 +54,7 @@ class Terrain:
         cells = np.array(((d, -b), (-c, a))) / (a * d - b * c)
         object.__setattr__(self, "heights_amsl_m", heights)
         object.__setattr__(self, "_cells", cells)
+        object.__setattr__(self, "_complete", bool(np.isfinite(heights).all()))
         object.__setattr__(self, "slope", _steepest(heights, cells))
 
     @staticmethod
@@ -60,37 +64,43 @@ class Terrain:
         return Terrain(heights, (0.0, 0.0), ((1.0, 0.0), (0.0, 1.0)), sigma_m, origin_amsl_m)
 
     @property
+    def is_complete(self) -> bool:
+        """There is data everywhere: only a plane has no end."""
+        return self.is_flat
+
+    @property
     def is_flat(self) -> bool:
         return self.heights_amsl_m.shape == (1, 1)
 
     def agl_m(self, points_ned_m: Floats) -> Floats:
         """(n,) vertical height of (n, 3) points above the surface; NaN where there is no data."""
-        up = self.origin_amsl_m - points_ned_m[:, 2]
         if self.is_flat:
-            return np.asarray(up - self.heights_amsl_m[0, 0])
-        place = (points_ned_m[:, :2] - self.corner_ne_m) @ self._cells.T
+            return np.asarray(self.origin_amsl_m - self.heights_amsl_m[0, 0] - points_ned_m[:, 2])
+        place = ((points_ned_m[:, :2] - self.corner_ne_m) @ self._cells.T).T
         rows, cols = self.heights_amsl_m.shape
-        row, col = place[:, 0], place[:, 1]
-        known = (row >= 0.0) & (row <= rows - 1) & (col >= 0.0) & (col <= cols - 1)
-        if not known.all():
-            row, col = np.where(known, row, 0.0), np.where(known, col, 0.0)
+        row, col = place
+        known: NDArray[np.bool_] | None = None
+        # A point that is no number is in no cell either.
+        if not (row.min() >= 0.0 and row.max() <= rows - 1 and col.min() >= 0.0 and col.max() <= cols - 1):
+            known = (row >= 0.0) & (row <= rows - 1) & (col >= 0.0) & (col <= cols - 1)
+            row, col = np.where(known, place, 0.0)
         i = np.minimum(row.astype(np.intp), rows - 2)
         j = np.minimum(col.astype(np.intp), cols - 2)
         first = i * cols + j
         at = self.heights_amsl_m.reshape(-1)
-        h00, h01, h10, h11 = at[first], at[first + 1], at[first + cols], at[first + cols + 1]
-        along_row, along_col = row - i, col - j
-        ground = np.where(
-            along_row >= along_col,
-            h00 + along_row * (h10 - h00) + along_col * (h11 - h10),
-            h00 + along_col * (h01 - h00) + along_row * (h11 - h01),
-        )
-        # All four corners must be known: a cell with one unknown corner is unknown as a whole.
-        agl = up - ground + 0.0 * (h01 + h10)
-        return np.asarray(agl if known.all() else np.where(known, agl, np.nan))
+        h00, h01, h10, h11 = at[first], at[first + 1], at[first + cols], at[first + (cols + 1)]
+        # Of the two triangles the one on this side of the diagonal, which holds h00 and h11 and one more.
+        row, col = row - i, col - j
+        more, less = np.maximum(row, col), np.minimum(row, col)
+        third = np.where(row >= col, h10, h01)
+        agl = self.origin_amsl_m - points_ned_m[:, 2] - (h00 + more * (third - h00) + less * (h11 - third))
+        if not self._complete:
+            # A cell with one unknown corner is unknown as a whole.
+            agl += 0.0 * (h01 + h10)
+        return np.asarray(agl if known is None else np.where(known, agl, np.nan))
 
     def clearance_m(self, points_ned_m: Floats, reach_m: float = 20.0, agl_m: Floats | None = None) -> Floats:
-        """(n,) distance of (n, 3) points to the surface, at most reach_m; see `TerrainPatch.clearance_m`."""
+        """(n,) distance of (n, 3) points to the ground, at most reach_m; see `TerrainPatch.clearance_m`."""
         distance = self._about(points_ned_m, reach_m).clearance_m(points_ned_m, agl_m)
         return np.asarray(np.maximum(np.minimum(distance, reach_m), -reach_m))
 
@@ -105,55 +115,61 @@ class Terrain:
         return self.near(Ned(*map(float, middle)), radius_m + reach_m)
 
     def near(self, centre: Ned, reach_m: float) -> TerrainPatch:
-        """The triangles within reach_m of centre, for many cheap queries about points near it."""
+        """The part within reach_m of centre, for many cheap queries about points near it."""
         if self.is_flat:
-            up_m = float(self.heights_amsl_m[0, 0]) - self.origin_amsl_m + centre.down
-            return TerrainPatch(self, centre, reach_m, *_plane(up_m), np.zeros((0, 2)), 0.0, False)
+            return TerrainPatch(self, centre, reach_m, _NOTHING, np.zeros((2, 0)), 0.0, border=False)
         rows, cols = self.heights_amsl_m.shape
-        offset = np.array([centre.north - self.corner_ne_m[0], centre.east - self.corner_ne_m[1]])
-        row, col = self._cells @ offset
-        per_m = np.hypot(self._cells[:, 0], self._cells[:, 1])
-        borders = min(row / per_m[0], (rows - 1 - row) / per_m[0], col / per_m[1], (cols - 1 - col) / per_m[1])
-        i0, i1 = _window(row, reach_m * per_m[0], rows)
-        j0, j1 = _window(col, reach_m * per_m[1], cols)
-        steps = np.array(self.steps_ne_m)
-        nodes = np.empty((i1 - i0, j1 - j0, 3))
-        i = np.arange(i0, i1)[:, None] - row
-        j = np.arange(j0, j1)[None, :] - col
-        nodes[..., 0] = steps[0, 0] * i + steps[0, 1] * j
-        nodes[..., 1] = steps[1, 0] * i + steps[1, 1] * j
-        nodes[..., 2] = self.heights_amsl_m[i0:i1, j0:j1] + (centre.down - self.origin_amsl_m)
-        faces, edges = _elements(nodes, reach_m)
-        unknown = np.isnan(nodes[:-1, :-1, 2] + nodes[1:, :-1, 2] + nodes[:-1, 1:, 2] + nodes[1:, 1:, 2])
-        middles = (nodes[:-1, :-1, :2] + nodes[1:, 1:, :2])[unknown] / 2.0
-        half_m = max(math.hypot(*(steps[:, 0] + steps[:, 1])), math.hypot(*(steps[:, 0] - steps[:, 1]))) / 2.0
-        return TerrainPatch(self, centre, reach_m, faces, edges, middles, half_m, bool(borders < reach_m))
+        north, east = centre.north - self.corner_ne_m[0], centre.east - self.corner_ne_m[1]
+        (row_n, row_e), (col_n, col_e) = self._cells.tolist()
+        row, col = row_n * north + row_e * east, col_n * north + col_e * east
+        per_row, per_col = math.hypot(row_n, row_e), math.hypot(col_n, col_e)
+        inside_m = min(row / per_row, (rows - 1 - row) / per_row, col / per_col, (cols - 1 - col) / per_col)
+        i0, i1 = _window(row, reach_m * per_row, rows)
+        j0, j1 = _window(col, reach_m * per_col, cols)
+        (n_row, n_col), (e_row, e_col) = self.steps_ne_m
+        half_m = 0.5 * max(math.hypot(n_row + n_col, e_row + e_col), math.hypot(n_row - n_col, e_row - e_col))
+        up = self.heights_amsl_m[i0:i1, j0:j1] + (centre.down - self.origin_amsl_m)
+        i = np.arange(i0, i1 - 1)[:, None] - row
+        j = np.arange(j0, j1 - 1)[None, :] - col
+        norths, easts = (n_row * i + n_col * j).reshape(-1), (e_row * i + e_col * j).reshape(-1)
+        u00, u10 = up[:-1, :-1].reshape(-1), up[1:, :-1].reshape(-1)
+        u01, u11 = up[:-1, 1:].reshape(-1), up[1:, 1:].reshape(-1)
+        lowest = np.minimum(np.minimum(u00, u10), np.minimum(u01, u11))
+        highest = np.maximum(np.maximum(u00, u10), np.maximum(u01, u11))
+        # A ball about every cell: those that begin within reach count. An unknown cell compares false.
+        mid_n, mid_e = norths + 0.5 * (n_row + n_col), easts + 0.5 * (e_row + e_col)
+        mid_u, tall = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+        radii = np.sqrt(tall * tall + half_m * half_m)
+        level = mid_n * mid_n + mid_e * mid_e
+        bound = radii + reach_m
+        kept = np.flatnonzero(level + mid_u * mid_u <= bound * bound)
+        unknown = np.zeros((2, 0))
+        if not self._complete:
+            blank = np.isnan(lowest)
+            unknown = np.stack((mid_n[blank], mid_e[blank]))
+        cells = _Cells(
+            _maps(self.steps_ne_m, norths[kept], easts[kept], u00[kept], u10[kept], u01[kept], u11[kept]),
+            np.stack((mid_n[kept], mid_e[kept], mid_u[kept])),
+            radii[kept],
+        )
+        return TerrainPatch(self, centre, reach_m, cells, unknown, half_m, border=not inside_m >= reach_m)
 
 
-@dataclass(frozen=True, eq=False)
-class _Faces:
-    """Triangles as linear maps of (north, east, up, 1) about the patch's centre."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cells:
+    """c cells of a patch, everything about its centre, as linear maps of (north, east, up, 1)."""
 
     maps: Floats
-    """(4, 3, f): signed distance from the plane, and the two barycentric coordinates along its sides."""
-    centres: Floats
-    """(3, f)"""
+    """(4, 13, c): of either triangle the signed distance from its plane and the two barycentric coordinates (6); how far
+    along each of the three sides from the first corner (3); the part of the squared distance to that corner that is
+    linear (1); and in the row of the ones the squared lengths of the three sides (3)."""
+    middles: Floats
+    """(3, c)"""
     radii_m: Floats
-    """(f,)"""
+    """(c,) of balls that hold the cells"""
 
 
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Sides of triangles about the patch's centre."""
-
-    maps: Floats
-    """(5, 2, e), of (north, east, up, 1, squared distance from the centre): how far along, squared distance to start."""
-    squares_m2: Floats
-    """(e,) squared lengths"""
-    centres: Floats
-    """(3, e)"""
-    radii_m: Floats
-    """(e,)"""
+_NOTHING = _Cells(np.zeros((4, 13, 0)), np.zeros((3, 0)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +179,11 @@ class TerrainPatch:
     terrain: Terrain
     centre: Ned
     reach_m: float
-    _faces: _Faces
-    _edges: _Edges
+    _cells: _Cells
     _unknown_ne_m: Floats
-    """(u, 2) middles of the cells without data, about the centre."""
+    """(2, u) middles of the cells without data, about the centre."""
     _unknown_radius_m: float
-    _border: bool
+    border: bool
     """The end of the grid is within reach."""
 
     @property
@@ -179,6 +194,11 @@ class TerrainPatch:
     def slope(self) -> float:
         return self.terrain.slope
 
+    @property
+    def is_complete(self) -> bool:
+        """Everything within reach is known."""
+        return not self.border and not self._unknown_ne_m.size
+
     def near(self, centre: Ned, reach_m: float) -> TerrainPatch:
         """Another patch of the same terrain."""
         return self.terrain.near(centre, reach_m)
@@ -188,77 +208,122 @@ class TerrainPatch:
         return self.terrain.agl_m(points_ned_m)
 
     def clearance_m(self, points_ned_m: Floats, agl_m: Floats | None = None) -> Floats:
-        """(n,) distance of (n, 3) points to the known surface; negative beneath it, NaN over cells without data.
+        """(n,) distance of (n, 3) points to what is or may be ground: the surface, or where there is no data, if nearer.
 
-        Never more than what the patch can vouch for: reach_m less the point's distance from the centre.
-        agl_m: these points' heights, if the caller has them already.
+        Negative beneath the surface; NaN over cells without data. Never more than what the patch can vouch for: reach_m
+        less the point's distance from the centre. agl_m: these points' heights, if the caller has them already.
         """
-        agl_m = self.agl_m(points_ned_m) if agl_m is None else agl_m
+        height = self.agl_m(points_ned_m) if agl_m is None else agl_m
         about = points_ned_m - self.centre
-        about[:, 2] *= -1.0
-        squares = (about * about).sum(axis=1)
+        squares = (about * about) @ _ONES
         distance = np.maximum(self.reach_m - np.sqrt(squares), 0.0)
-        if self._faces.radii_m.size and np.isfinite(squares).all():
-            distance = np.minimum(distance, self._surface_m(about, squares))
-        return np.asarray(np.copysign(distance, agl_m) + 0.0 * agl_m)
+        if self.terrain.is_flat:
+            distance = np.minimum(distance, np.abs(height))
+        elif self._cells.radii_m.size:
+            distance = np.minimum(distance, self._surface_m(about, squares, height))
+        if not self.is_complete:
+            distance = np.minimum(distance, self.unknown_m(points_ned_m))
+        # NaN of the height stays: copysign alone would lose it.
+        return np.asarray(np.copysign(distance, height) + 0.0 * height)
 
     def unknown_m(self, points_ned_m: Floats) -> Floats:
-        """(n,) horizontal distance of (n, 3) points to where the model has no data; at most what the patch vouches for."""
-        about = points_ned_m[:, :2] - self.centre[:2]
-        distance = np.maximum(self.reach_m - np.sqrt((about * about).sum(axis=1)), 0.0)
-        if self._border:
+        """(n,) horizontal distance of (n, 3) points to where there is no data; at most what the patch can vouch for."""
+        about = points_ned_m - self.centre
+        distance = np.maximum(self.reach_m - np.sqrt((about * about) @ _ONES), 0.0)
+        if self.border:
             cells = self.terrain._cells
             place = (points_ned_m[:, :2] - self.terrain.corner_ne_m) @ cells.T
             last = np.array(self.terrain.heights_amsl_m.shape) - 1.0
             inside = np.minimum(place, last - place) / np.hypot(cells[:, 0], cells[:, 1])
             distance = np.minimum(distance, np.maximum(inside.min(axis=1), 0.0))
-        if len(self._unknown_ne_m):
-            apart = about[:, None, :] - self._unknown_ne_m[None, :, :]
-            nearest = np.sqrt((apart * apart).sum(axis=2).min(axis=1)) - self._unknown_radius_m
+        if self._unknown_ne_m.size:
+            north = about[:, 0, None] - self._unknown_ne_m[0]
+            east = about[:, 1, None] - self._unknown_ne_m[1]
+            nearest = np.sqrt((north * north + east * east).min(axis=1)) - self._unknown_radius_m
             distance = np.minimum(distance, np.maximum(nearest, 0.0))
         return np.asarray(distance)
 
-    def _surface_m(self, about: Floats, squares: Floats) -> Floats:
-        """(n,) distance to the nearest triangle; about: (n, 3) north, east, up from the centre."""
-        faces, edges = self._faces, self._edges
-        # What can be nearest to any of these points: bounding balls against the nearest centre of a triangle.
-        middle = (about.min(axis=0) + about.max(axis=0)) / 2.0
-        offset = about - middle
-        twice_m = 2.0 * math.sqrt(float((offset * offset).sum(axis=1).max()))
-        to_faces = _from(middle, faces.centres)
-        at_most_m = float(to_faces.min()) + twice_m
-        face = np.flatnonzero(to_faces - faces.radii_m <= at_most_m)
-        plane_u_v = np.empty((len(about), 5))
-        plane_u_v[:, :3] = about
-        plane_u_v[:, 3] = 1.0
-        plane_u_v[:, 4] = squares
-        found = (plane_u_v[:, :4] @ faces.maps[:, :, face].reshape(4, -1)).reshape(len(about), 3, -1)
-        u, v = found[:, 1], found[:, 2]
-        over = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
-        nearest = np.where(over, np.abs(found[:, 0]), np.inf).min(axis=1)
-        if edges.radii_m.size:
-            edge = np.flatnonzero(_from(middle, edges.centres) - edges.radii_m <= at_most_m)
-            along = (plane_u_v @ edges.maps[:, :, edge].reshape(5, -1)).reshape(len(about), 2, -1)
-            s = along[:, 0]
-            t = np.minimum(np.maximum(s, 0.0), 1.0)
-            square = (along[:, 1] + edges.squares_m2[edge] * (t * (t - 2.0 * s))).min(axis=1)
-            nearest = np.minimum(nearest, np.sqrt(np.maximum(square, 0.0)))
-        return np.asarray(nearest)
+    def _surface_m(self, about: Floats, squares: Floats, height: Floats) -> Floats:
+        """(n,) distance to the nearest known triangle; about: (n, 3) north, east, down from the centre."""
+        cells = self._cells
+        # No point is farther from the surface than it is above it: cells beyond that of the points' box cannot be nearest.
+        low, high = about.min(axis=0), about.max(axis=0)
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        middle[2] *= -1.0
+        apart = np.maximum(np.abs(cells.middles - middle[:, None]) - half[:, None], 0.0)
+        bound = cells.radii_m + float(np.abs(height).max())
+        # Written so that an unknown height (NaN) leaves nothing out.
+        near = np.flatnonzero(~(_ONES @ (apart * apart) > bound * bound))
+        if not near.size:
+            return np.full(len(about), np.inf)
+        points = np.ones((len(about), 4))
+        points[:, :3] = about
+        points[:, 2] *= -1.0
+        maps = cells.maps.take(near, axis=2)
+        found = (points @ maps[:, :10].reshape(4, -1)).reshape(len(about), 10, -1)
+        faces = found[:, :6].reshape(len(about), 2, 3, -1)
+        plane, u, v = faces[:, :, 0], faces[:, :, 1], faces[:, :, 2]
+        # The foot of the perpendicular lies in the triangle, or the nearest point is on one of its sides.
+        over = np.minimum(np.minimum(u, v), 1.0 - u - v) >= 0.0
+        foot = np.where(over, plane * plane, np.inf).min(axis=(1, 2))
+        along, corner = found[:, 6:9], found[:, 9] + squares[:, None]
+        t = np.minimum(np.maximum(along, 0.0), 1.0)
+        side = (maps[3, 10:] * t * (t - 2.0 * along)).min(axis=1) + corner
+        return np.asarray(np.sqrt(np.maximum(np.minimum(foot, side.min(axis=1)), 0.0)))
 
 
-def _from(point: Floats, centres: Floats) -> Floats:
-    """(k,) distances from a (3,) point to (3, k) centres."""
-    apart = centres - point[:, None]
-    return np.asarray(np.sqrt((apart * apart).sum(axis=0)))
+_ONES = np.ones(3)
+
+
+def _maps(
+    steps: tuple[tuple[float, float], tuple[float, float]],
+    north: Floats,
+    east: Floats,
+    u00: Floats,
+    u10: Floats,
+    u01: Floats,
+    u11: Floats,
+) -> Floats:
+    """The maps of `_Cells` from the place of c cells' first corners and the heights of all four, about the centre."""
+    (n_row, n_col), (e_row, e_col) = steps
+    n_both, e_both = n_row + n_col, e_row + e_col
+    maps = np.zeros((4, 13, north.size))
+    to10, to11, to01 = u10 - u00, u11 - u00, u01 - u00
+    corner = np.stack((north, east, u00))
+    # Triangles (00, 10, 11) and (00, 11, 01): sides p and q from the first corner.
+    for k, (p_n, p_e, p_u, q_n, q_e, q_u) in enumerate(
+        ((n_row, e_row, to10, n_both, e_both, to11), (n_both, e_both, to11, n_col, e_col, to01))
+    ):
+        normal_n, normal_e, normal_u = p_e * q_u - q_e * p_u, q_n * p_u - p_n * q_u, p_n * q_e - p_e * q_n
+        shrink = 1.0 / (normal_n * normal_n + normal_e * normal_e + normal_u * normal_u)
+        unit = np.sqrt(shrink)
+        face = maps[:3, 3 * k : 3 * k + 3]
+        face[0, 0], face[1, 0], face[2, 0] = normal_n * unit, normal_e * unit, normal_u * unit
+        # Dual to p and q in the plane: q x normal and normal x p over the normal's square.
+        face[0, 1] = (q_e * normal_u - q_u * normal_e) * shrink
+        face[1, 1] = (q_u * normal_n - q_n * normal_u) * shrink
+        face[2, 1] = (q_n * normal_e - q_e * normal_n) * shrink
+        face[0, 2] = (normal_e * p_u - normal_u * p_e) * shrink
+        face[1, 2] = (normal_u * p_n - normal_n * p_u) * shrink
+        face[2, 2] = (normal_n * p_e - normal_e * p_n) * shrink
+    for k, (s_n, s_e, s_u) in enumerate(((n_row, e_row, to10), (n_col, e_col, to01), (n_both, e_both, to11))):
+        square = s_u * s_u + (s_n * s_n + s_e * s_e)
+        maps[0, 6 + k], maps[1, 6 + k], maps[2, 6 + k] = s_n / square, s_e / square, s_u / square
+        maps[3, 10 + k] = square
+    # All of these are measured from the first corner.
+    maps[3, :9] = -(maps[0, :9] * north + maps[1, :9] * east + maps[2, :9] * u00)
+    maps[:3, 9] = -2.0 * corner
+    maps[3, 9] = (corner * corner).sum(axis=0)
+    return maps
 
 
 def _window(middle: float, half: float, count: int) -> tuple[int, int]:
-    """First and one past the last of the nodes whose cells lie within half (in nodes) of middle; maybe none."""
-    if not math.isfinite(middle + half):
-        return 0, 0 if math.isnan(middle + half) else count
-    first = max(0, math.floor(middle - half))
-    last = min(count, math.ceil(middle + half) + 1)
-    return (first, last) if first < last - 1 else (0, 0)
+    """First and one past the last of the nodes whose cells lie within half (in nodes) of middle; one node for none."""
+    if not math.isfinite(middle) or math.isnan(half):
+        return 0, 1
+    first = max(0, math.floor(max(middle - half, 0.0)))
+    last = min(count, math.ceil(min(middle + half, float(count))) + 1)
+    return (first, last) if first < last - 1 else (0, 1)
 
 
 def _steepest(heights: Floats, cells: Floats) -> float:
@@ -273,62 +338,3 @@ def _steepest(heights: Floats, cells: Floats) -> float:
         square = north * north + east * east
         steepest = max(steepest, float(np.fmax.reduce(square, axis=None, initial=0.0)))
     return math.sqrt(steepest)
-
-
-def _plane(up_m: float) -> tuple[_Faces, _Edges]:
-    """An endless horizontal plane at up_m above the centre: one face that every point is over."""
-    maps = np.zeros((4, 3, 1))
-    maps[2, 0, 0], maps[3, 0, 0] = 1.0, -up_m
-    faces = _Faces(maps, np.array([[0.0], [0.0], [up_m]]), np.array([np.inf]))
-    return faces, _Edges(np.zeros((5, 2, 0)), np.zeros(0), np.zeros((3, 0)), np.zeros(0))
-
-
-def _elements(nodes: Floats, reach_m: float) -> tuple[_Faces, _Edges]:
-    """The triangles and their sides within reach_m of the middle, from (i, j, 3) nodes about it."""
-    n00, n10 = nodes[:-1, :-1].reshape(-1, 3), nodes[1:, :-1].reshape(-1, 3)
-    n01, n11 = nodes[:-1, 1:].reshape(-1, 3), nodes[1:, 1:].reshape(-1, 3)
-    a = np.concatenate((n00, n00)).T
-    b = np.concatenate((n10, n11)).T
-    c = np.concatenate((n11, n01)).T
-    # A cell with one unknown corner is unknown as a whole: both of its triangles go.
-    unknown = np.isnan(n01[:, 2] + n10[:, 2])
-    centres = (a + b + c) / 3.0
-    radii = np.sqrt(np.maximum(_square(a - centres), np.maximum(_square(b - centres), _square(c - centres))))
-    keep = np.sqrt(_square(centres)) - radii <= reach_m
-    keep &= ~np.concatenate((unknown, unknown))
-    a, b, c, centres, radii = a[:, keep], b[:, keep], c[:, keep], centres[:, keep], radii[keep]
-    ab, ac = b - a, c - a
-    normal = _cross(ab, ac)
-    square = _square(normal)
-    maps = np.empty((4, 3, a.shape[1]))
-    for k, direction in enumerate((normal / np.sqrt(square), _cross(ac, normal) / square, _cross(normal, ab) / square)):
-        maps[:3, k] = direction
-        maps[3, k] = -(direction * a).sum(axis=0)
-    faces = _Faces(maps, centres, radii)
-
-    starts = np.concatenate((nodes[:-1].reshape(-1, 3), nodes[:, :-1].reshape(-1, 3), n00)).T
-    ends = np.concatenate((nodes[1:].reshape(-1, 3), nodes[:, 1:].reshape(-1, 3), n11)).T
-    middles = (starts + ends) / 2.0
-    halves = np.sqrt(_square(ends - starts)) / 2.0
-    keep = np.sqrt(_square(middles)) - halves <= reach_m
-    starts, ends, middles, halves = starts[:, keep], ends[:, keep], middles[:, keep], halves[keep]
-    sides = ends - starts
-    squares = _square(sides)
-    along = np.empty((5, 2, starts.shape[1]))
-    along[:3, 0] = sides / squares
-    along[3, 0] = -(sides * starts).sum(axis=0) / squares
-    along[4, 0] = 0.0
-    along[:3, 1] = -2.0 * starts
-    along[3, 1] = _square(starts)
-    along[4, 1] = 1.0
-    return faces, _Edges(along, squares, middles, halves)
-
-
-def _square(vectors: Floats) -> Floats:
-    """(k,) squared lengths of (3, k) vectors."""
-    return np.asarray((vectors * vectors).sum(axis=0))
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """(3, k) cross products."""
-    return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
