@@ -1,0 +1,2 @@
+class ModelError(ValueError):
+    """A voice model that is missing or cannot be used; one sentence that names it and says what to do."""

@@ -1,0 +1,198 @@
+"""Speech to requests with VOSK: two grammars on the same audio, STOP from partial results, a prompt end of utterance.
+
+One recogniser (the *commands* ear) knows the legal phrases alone, as the paper's does; it finds them well but bends
+other speech into them. The other (the *words* ear) knows everyday words too. What an utterance was is decided by
+comparing how well each explains the audio. Source: paper section on voice-based maneuvers, design 3.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import vosk
+
+from modalities.audio import SAMPLE_RATE_HZ, Chunk
+from modalities.models import ModelError
+from modalities.phrases import OTHER_WORDS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
+from modalities.voice_end import VoiceEnd
+from safety.vocabulary import Command
+
+CLOSE_AFTER_S = 0.3
+"""An utterance ends when the voice has been gone this long."""
+CLOSE_UNFINISHED_AFTER_S = 0.7
+"""... or this long while what was heard is the beginning of a phrase ("go")."""
+SETTLED_S = 0.6
+"""A partial result that stays the same for this long ends the utterance where noise hides the end of the voice."""
+ALTERNATIVES = 8
+UNKNOWN_WORD = "[unk]"
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """What an ear takes the utterance for. score: log likelihood of audio and words (natural units, higher fits)."""
+
+    text: str
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A request candidate. Times are those of the recording; the caller adds its clock's and its processing time.
+
+    confidence: calibrated, 0 to 1 (see `confidence_of`). captured_at_s: the end of the voice; made_at_s: capture time of
+    the chunk that completed it.
+    """
+
+    command: Command
+    colour: str | None
+    confidence: float
+    text: str
+    captured_at_s: float
+    made_at_s: float
+
+
+class Ear:
+    """One VOSK recogniser over one grammar."""
+
+    def __init__(self, model: vosk.Model, grammar: tuple[str, ...]) -> None:
+        self._recognizer = vosk.KaldiRecognizer(model, float(SAMPLE_RATE_HZ), json.dumps(grammar))
+        self._recognizer.SetMaxAlternatives(ALTERNATIVES)
+        self._segments: list[list[Hypothesis]] = []
+        self.partial = ""
+
+    def accept(self, data: bytes) -> None:
+        """Decode on; `partial` is then what the utterance has been so far."""
+        if self._recognizer.AcceptWaveform(data):  # the decoder's own endpoint: the utterance may still go on
+            self._keep(self._recognizer.Result())
+            partial = ""
+        else:
+            partial = str(json.loads(self._recognizer.PartialResult()).get("partial", ""))
+        self.partial = " ".join([*(best[0].text for best in self._segments), partial]).strip()
+
+    def close(self) -> list[Hypothesis]:
+        """End the utterance and forget it: its hypotheses, best first."""
+        self._keep(self._recognizer.FinalResult())
+        segments, self._segments, self.partial = self._segments, [], ""
+        if len(segments) == 1:
+            return segments[0]
+        whole = Hypothesis(" ".join(s[0].text for s in segments), sum(s[0].score for s in segments))
+        return [whole] if segments else []
+
+    def _keep(self, result: str) -> None:
+        heard = [
+            Hypothesis(normalise(a["text"]), float(a["confidence"])) for a in json.loads(result).get("alternatives", [])
+        ]
+        if heard and heard[0].text:
+            self._segments.append(heard)
+
+
+class Recognizer:
+    """Both ears and the voice's end: chunks in, request candidates out. Synchronous, no clock; one per recording."""
+
+    def __init__(self, model: vosk.Model, table: PhraseTable) -> None:
+        """Raises ModelError if the model does not know the word *stop*."""
+        known = {word: model.vosk_model_find_word(word) >= 0 for word in {*table.words, *OTHER_WORDS, UNKNOWN_WORD}}
+        self.missing_words = tuple(word for word in table.words if not known[word])
+        """Words of the phrases that the model lacks: no phrase with one of them can be heard."""
+        if not known[STOP_WORD]:
+            raise ModelError(f"the voice model does not know the word {STOP_WORD!r}: fetch another with `m3r models fetch`")
+        phrases = tuple(phrase for phrase in table.phrases if all(known[word] for word in phrase.split()))
+        unknown = (UNKNOWN_WORD,) if known[UNKNOWN_WORD] else ()
+        single = tuple(word for word in (*table.words, *OTHER_WORDS) if known[word] and word not in phrases)
+        self._table = table
+        self._commands = Ear(model, (*phrases, *unknown))
+        self._words = Ear(model, (*phrases, *single, *unknown))
+        self._voice = VoiceEnd()
+        self._begin_utterance()
+
+    @property
+    def partial(self) -> str:
+        """What the current utterance has been so far, for the operator to see."""
+        return self._words.partial
+
+    def accept(self, chunk: Chunk) -> list[Heard]:
+        """Take the next chunk (16 kHz mono 16-bit); the request candidates that it completes, usually none."""
+        now_s = chunk.captured_at_s
+        before = self._commands.partial
+        self._voice.accept(chunk.samples, now_s)
+        data = chunk.samples.tobytes()
+        self._commands.accept(data)
+        self._words.accept(data)
+        if self._commands.partial != before:
+            self._changed_s = now_s
+        heard = [self._stop(now_s)] if self._stop_stands() else []
+        if self._is_over(now_s):
+            heard += self._close(now_s)
+        return heard
+
+    def finish(self, now_s: float) -> list[Heard]:
+        """The recording has ended: close what is open."""
+        return self._close(now_s)
+
+    def _begin_utterance(self) -> None:
+        self._stop_partials = 0
+        self._stopped = False
+        self._changed_s = -math.inf
+        self._voice.forget()
+
+    def _stop_stands(self) -> bool:
+        """STOP: the word stands in two successive partial results, and the words ear has nothing else in its place."""
+        partial = self._commands.partial.split()
+        self._stop_partials = self._stop_partials + 1 if STOP_WORD in partial else 0
+        if self._stopped or self._stop_partials < 2:
+            return False
+        words = self._words.partial.split()
+        return STOP_WORD in words or len(words) <= partial.index(STOP_WORD)
+
+    def _stop(self, now_s: float, confidence: float = 1.0) -> Heard:
+        self._stopped = True
+        text = self._commands.partial or STOP_WORD
+        return Heard(Command.STOP, None, confidence, text, self._voice_end_s(now_s), now_s)
+
+    def _voice_end_s(self, now_s: float) -> float:
+        """The voice's end; where the level shows none, when the partial result last changed."""
+        end_s = self._voice.last_voice_s if math.isfinite(self._voice.last_voice_s) else self._changed_s
+        return min(end_s, now_s) if math.isfinite(end_s) else now_s
+
+    def _is_over(self, now_s: float) -> bool:
+        partial = self._commands.partial
+        unfinished = self._table.begins_phrase(partial)
+        if math.isfinite(self._voice.last_voice_s):
+            wait_s = CLOSE_UNFINISHED_AFTER_S if unfinished else CLOSE_AFTER_S
+            if now_s - self._voice.last_voice_s >= wait_s - 1e-9:
+                return True
+        return bool(partial) and not unfinished and now_s - self._changed_s >= SETTLED_S
+
+    def _close(self, now_s: float) -> list[Heard]:
+        end_s = self._voice_end_s(now_s)
+        commands, words = self._commands.close(), self._words.close()
+        stopped = self._stopped
+        self._begin_utterance()
+        if stopped or not commands or not words:  # after STOP the rest of an utterance asks for nothing
+            return []
+        if contains_stop(words[0].text):
+            return [Heard(Command.STOP, None, 1.0, words[0].text, end_s, now_s)]
+        phrase = self._table.interpret(commands[0].text)
+        if phrase is None or phrase.command is Command.STOP:
+            return []
+        confidence = confidence_of(commands, words, phrase, self._table)
+        return [Heard(phrase.command, phrase.colour, confidence, commands[0].text, end_s, now_s)]
+
+
+def confidence_of(commands: list[Hypothesis], words: list[Hypothesis], phrase: Phrase, table: PhraseTable) -> float:
+    """How likely it is that the phrase was said. Measured: see CALIBRATION."""
+    gap = words[0].score - commands[0].score
+    agree = table.interpret(words[0].text) == phrase
+    return 1.0 / (1.0 + math.exp(min(50.0, gap - (8.0 if agree else 3.0))))
+
+
+def load_model(folder: Path) -> vosk.Model:
+    """A VOSK model, its log silenced. Raises ModelError."""
+    vosk.SetLogLevel(-1)
+    try:
+        return vosk.Model(str(folder))
+    except Exception as error:  # vosk raises nothing narrower
+        raise ModelError(f"{folder} is not a voice model: run `m3r models fetch` or set M3R_MODELS") from error
