@@ -47,7 +47,10 @@ def watch(app_pid: int, app_pidfd: int, silence_s: float) -> None:
             pulses = os.read(0, 4096)
             if not pulses:
                 return
-            os.write(1, pulses[-1:])
+            try:
+                os.write(1, pulses[-1:])
+            except BrokenPipeError:
+                return  # the app went between its pulse and our answer
             in_command = pulses[-1:] == b"+"
             silent_s = 0.0
             continue
@@ -63,7 +66,4 @@ def watch(app_pid: int, app_pidfd: int, silence_s: float) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        watch(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))
-    except BrokenPipeError:
-        pass  # the app went between its pulse and our answer
+    watch(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))

@@ -28,7 +28,7 @@ APP = """
         os.write(1, (" ".join(map(str, words)) + "\\n").encode())
 
     def stick():
-            kind = sys.argv[1]
+        kind = sys.argv[1]
         say("stuck")
         if kind == "block":
             time.sleep(3.0)
