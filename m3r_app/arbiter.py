@@ -14,6 +14,7 @@ from m3r_app.events import (
     ArbiterState,
     Deciding,
     Effect,
+    Ended,
     Event,
     FaceOperator,
     Flight,
@@ -89,6 +90,9 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             run.drop(Cause.STALLED, event.reason)
         case Tick():
             run.tick()
+        case Ended() if state.authority:
+            run.do(Hold("ended"))
+            run.leave(Cause.RELEASED, "hold", event.reason)
     return run.state, tuple(run.effects)
 
 

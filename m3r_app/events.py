@@ -81,7 +81,14 @@ class Tick:
     """Time passes, 10 times a second, whether or not anything else happens."""
 
 
-Event = Requested | PairingAnswered | TelemetryArrived | NeighboursHeard | ReservationAnswered | Stalled | Tick
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The run is over: the drone is left in Hold."""
+
+    reason: str
+
+
+Event = Requested | PairingAnswered | TelemetryArrived | NeighboursHeard | ReservationAnswered | Stalled | Tick | Ended
 
 # ---------------------------------------------------------------- effects
 

@@ -85,6 +85,7 @@ class MotionController:
         self._stalled = stalled
         self._sent = sent
         self._task: _Hover | _Flight | None = None
+        self._last: tuple[Ned, float] | None = None
         self._since_s = 0.0
         self._order = 0
         self._mode_lock = asyncio.Lock()
@@ -116,7 +117,7 @@ class MotionController:
     def disengaged(self) -> None:
         """The autopilot is no longer in Offboard: what was flown is over, the next order enters it anew."""
         self._order += 1
-        self._task = None
+        self._task = self._last = None
         self.engaged = False
 
     async def _take(self, make: Callable[[], _Hover | _Flight | None]) -> None:
@@ -134,8 +135,10 @@ class MotionController:
             self._start(self._hover(None))
 
     def _start(self, task: _Hover | _Flight | None) -> None:
-        if task is None:
-            return  # position unknown: the autopilot keeps hovering at the last setpoint
+        if task is None and self._last is not None:
+            # Position unknown: stay at the last setpoint, which the autopilot is hovering at or about to.
+            point, yaw_deg = self._last
+            task = _Hover(point, yaw_deg, 0.0, Profile(0.0, self._yaw_rate_deg_s, self._yaw_acceleration_deg_s2))
         self._task = task
         self._since_s = self._clock()
         self._send()
@@ -154,6 +157,7 @@ class MotionController:
             return
         t_s = self._clock()
         point, yaw_deg = self._task.at(t_s - self._since_s)
+        self._last = point, yaw_deg
         self._autopilot.set_position_ned(point, wrap_deg(yaw_deg))
         self._sent(t_s, point, wrap_deg(yaw_deg))
 

@@ -1,0 +1,320 @@
+"""One run of M3R: everything heavy first, then the fleet, pairing, inputs, and an orderly end.
+
+`run` is what the command line calls. Source: design "Command line", "Motion" (everything heavy loads before pairing).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import signal
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import AsyncExitStack
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from m3r_app import failsafe
+from m3r_app.airspace import LocalAirspace
+from m3r_app.events import ArbiterState, Ended, PairingAnswered, Policy, Tally
+from m3r_app.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.guard import Guard
+from m3r_app.inputs import Inputs, open_inputs
+from m3r_app.modes import State
+from m3r_app.options import RunOptions
+from m3r_app.pairing import PairingLimits, objections
+from m3r_app.plain import plain
+from m3r_app.preparation import Setting, prepare
+from m3r_app.recorder import Recorder
+from m3r_app.shell import Recording, Shell, request_event
+from m3r_app.vehicle import VehicleError
+from safety.vocabulary import Command, ManeuverRequest, Modality
+
+INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
+"""Exit statuses of the contract; the highest that applies."""
+LOST_S = 5.0
+HELD_S = 5.0
+"""So long in EmergencyHold without an approved way back, the drone rests."""
+SETTLE_S = 10.0
+LAST_HOLD_S = 3.0
+Emit = Callable[[dict[str, object]], None]
+
+
+class NoPairing(Exception):  # noqa: N818  (it is an end, not an error)
+    """The drone that the run depends on was not paired; the reasons have been said."""
+
+
+class VehicleLost(Exception):  # noqa: N818
+    """The paired drone fell silent."""
+
+
+async def run(options: RunOptions, emit: Emit) -> int:
+    """Fly one run; returns the exit status. `emit` takes the objects of the machine-readable output.
+
+    Raises what names bad input (ValueError) or a missing vehicle (VehicleError), after the `end` object.
+    """
+    one = _Run(options, emit)
+    loop = asyncio.get_running_loop()
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(name, one.interrupted.set)
+    try:
+        return await one.whole()
+    finally:
+        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            loop.remove_signal_handler(name)
+
+
+class _Run:
+    """The life of one run."""
+
+    def __init__(self, options: RunOptions, emit: Emit) -> None:
+        self.options = options
+        self.clock = time.monotonic
+        self.started_s = self.clock()
+        self._loop = asyncio.get_running_loop()
+        self.interrupted = asyncio.Event()
+        self._emit = emit
+        self._recording: Recorder | None = None
+        self.shell: Shell | None = None
+
+    # ------------------------------------------------------------ output
+
+    def emit(self, event: str, fields: dict[str, object]) -> None:
+        """One object of the output, also recorded."""
+        now_s = self.clock()
+        self.record(event, now_s, fields)
+        self._emit({"t": round(now_s - self.started_s, 3), "event": event, **plain(fields, lossless=False)})
+
+    def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
+        if self._recording is not None:
+            self._recording.record(topic, t_s - self.started_s, data)
+
+    # ------------------------------------------------------------ the whole
+
+    async def whole(self) -> int:
+        """Everything, raced against the interrupt and the time-out; always ends with `end`."""
+        reason, failure = "error", None
+        body = asyncio.create_task(self._body())
+        stop = asyncio.create_task(self.interrupted.wait())
+        try:
+            done, _ = await asyncio.wait(
+                {body, stop}, timeout=self.options.timeout_s, return_when=asyncio.FIRST_COMPLETED
+            )
+            if body in done:
+                reason = body.result()
+            else:
+                reason = "interrupted" if stop in done else "timeout"
+        except VehicleLost:
+            reason = "vehicle_lost"
+        except NoPairing:
+            reason = "error"
+        except VehicleError as error:
+            reason, failure = "vehicle_lost", error
+        except Exception as error:  # the end object must come whatever happened
+            failure = error
+        finally:
+            stop.cancel()
+            body.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await body
+        no_vehicle = reason == "vehicle_lost" or (reason == "error" and failure is None)
+        return self._end(reason, failure, no_vehicle=no_vehicle)
+
+    def _end(self, reason: str, failure: Exception | None, *, no_vehicle: bool) -> int:
+        tally = self.shell.state.tally if self.shell is not None else Tally()
+        self.emit("end", {"reason": reason, **plain(tally, lossless=False)})
+        if self._recording is not None:
+            self._recording.close()
+        if failure is not None:
+            raise failure
+        if reason == "interrupted":
+            return INTERRUPTED
+        if tally.violations:
+            return VIOLATED
+        return NO_VEHICLE if no_vehicle else ENDED
+
+    async def _body(self) -> str:
+        async with AsyncExitStack() as stack:
+            setting = await asyncio.to_thread(prepare, self.options)
+            inputs = await asyncio.to_thread(open_inputs, self.options, setting.colours)
+            stack.callback(inputs.close)
+            for sentence in inputs.sentences:
+                self.emit("announce", {"text": sentence})
+            self._open_record(setting, inputs)
+            fleet = await self._connect(setting, stack)
+            guard = Guard(self._say_soon)
+            guard.start()
+            stack.callback(guard.close)
+            shell = self.shell = self._shell(setting, fleet, guard)
+            stack.push_async_callback(shell.close)
+            stack.push_async_callback(self._leave, shell)
+            async with _together(shell.run(), shell.tick(), self._watch_link(shell)) as background:
+                playing = asyncio.create_task(self._play(shell, inputs))
+                background.add(playing)
+                done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()
+                await self._leave(shell)
+        return "inputs_played"
+
+    # ------------------------------------------------------------ before flying
+
+    def _open_record(self, setting: Setting, inputs: Inputs) -> None:
+        if self.options.record is None:
+            return
+        metadata: dict[str, object] = {
+            "app": version("m3r"),
+            "settings": setting.settings.model_dump(),
+            "scenario": setting.scenario.model_dump(mode="json") if setting.scenario else None,
+            "operator": setting.operator,
+            "origin": setting.frame.origin,
+            "world": setting.world,
+            "model": inputs.model,
+        }
+        self._recording = Recorder(Path(self.options.record), metadata, self._say_soon)
+
+    async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
+        if self.options.vehicle:
+            links = Links(dict(self.options.vehicle), {}, complete=False)
+        else:
+            scenario = setting.scenario
+            assert scenario is not None
+            simulated = await SimulatedFleet.start(scenario.path, len(scenario.vehicles) + len(scenario.traffic))
+            stack.push_async_callback(simulated.stop)
+            links = simulated.links
+        fleet = await Fleet.connect(links, self.clock, setting.settings.pairing.answer_s)
+        stack.push_async_callback(fleet.close)
+        return fleet
+
+    def _shell(self, setting: Setting, fleet: Fleet, guard: Guard) -> Shell:
+        settings = setting.settings
+        policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace)
+
+        async def pair(shell: Shell, colour: str) -> None:
+            await self._pair(setting, shell, colour)
+
+        recording: Recording = self
+        return Shell(
+            ArbiterState(setting.limits, policy),
+            fleet,
+            setting.frame,
+            LocalAirspace(),
+            guard,
+            self.clock,
+            self.emit,
+            recording,
+            pair,
+            declared_empty=settings.neighbours == "none",
+        )
+
+    # ------------------------------------------------------------ pairing
+
+    async def _pair(self, setting: Setting, shell: Shell, colour: str) -> None:
+        """The checks before pairing; the answer goes to the arbiter. Source: X8, design 12."""
+        try:
+            reasons = await self._objections(setting, shell, colour)
+        except VehicleError as error:
+            reasons = (str(error),)
+        shell.inbox.put(PairingAnswered(colour, reasons, setting.operator, setting.world))
+        if not reasons:
+            shell.take_authority()
+
+    async def _objections(self, setting: Setting, shell: Shell, colour: str) -> tuple[str, ...]:
+        vehicle = shell.fleet.vehicles.get(colour)
+        if vehicle is None:
+            return (f"there is no such drone; there are {', '.join(shell.fleet.vehicles)}",)
+        if setting.operator is None:
+            return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
+        await vehicle.wait_ready(setting.settings.pairing.answer_s)
+        if self.options.takeoff is not None and vehicle.telemetry().in_air is False:
+            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff:g} m"})
+            await vehicle.takeoff(self.options.takeoff)
+        pairing = PairingLimits(setting.settings.pairing.range_m, setting.settings.pairing.operator_sigma_max_m)
+        found = objections(
+            vehicle.telemetry(), setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock()
+        )
+        rc = vehicle.telemetry().rc_present
+        check = failsafe.apply if self.options.apply_failsafe else failsafe.check
+        found += tuple(m.text for m in await check(vehicle, rc))
+        if found:
+            return found
+        await vehicle.hold()
+        await vehicle.wait_for(
+            lambda t: t.flight_mode == "HOLD" and t.velocity is not None and t.velocity.norm < 0.2,
+            SETTLE_S,
+            "coming to rest in Hold",
+        )
+        shell.take_vehicle(vehicle)
+        first = self.clock()
+        await vehicle.wait_for(lambda t: t.at_s > first, SETTLE_S, "fresh telemetry")
+        shell.inbox.put(shell.surroundings(self.clock()))
+        return ()
+
+    # ------------------------------------------------------------ flying
+
+    async def _play(self, shell: Shell, inputs: Inputs) -> None:
+        """Pair if asked to, play what was recorded, wait until the drone rests."""
+        if self.options.pair is not None:
+            now_s = self.clock()
+            request = ManeuverRequest(
+                "pair", Command.ACTIVATE, Modality.PANEL, 1.0, now_s, now_s, "--pair", self.options.pair
+            )
+            shell.inbox.put(request_event(request))
+            await self._until(shell, lambda: shell.state.state is not State.IDLE)
+            await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
+            if shell.state.session is None:
+                raise NoPairing
+        await inputs.play(self.clock(), lambda request: shell.inbox.put(request_event(request)))
+        # What was played last has been put into the inbox; wait until it has been taken out and flown.
+        held_since_s = math.inf
+        while True:
+            if shell.inbox.empty and _rests(shell):
+                return
+            held = shell.state.state is State.EMERGENCY_HOLD and shell.state.return_at_s is None
+            held_since_s = min(held_since_s, self.clock()) if held else math.inf
+            if self.clock() - held_since_s >= HELD_S:
+                return
+            await asyncio.sleep(0.05)
+
+    async def _until(self, shell: Shell, condition: Callable[[], bool]) -> None:
+        while not condition():
+            await shell.changed.wait()
+
+    async def _watch_link(self, shell: Shell) -> None:
+        """Ends the run when the paired drone has been silent for long."""
+        while True:
+            await asyncio.sleep(0.5)
+            vehicle = shell.vehicle
+            if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > LOST_S:
+                self.emit("announce", {"text": f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s"})
+                raise VehicleLost
+
+    async def _leave(self, shell: Shell) -> None:
+        """However the run ends: a drone that is ours is left in Hold. Source: contract, X3."""
+        if shell.state.authority:
+            shell.take(Ended("the run is over"))
+        await shell.settled(LAST_HOLD_S)
+
+    def _say_soon(self, sentence: str) -> None:
+        """Announce, from any thread."""
+        with contextlib.suppress(RuntimeError):  # the loop has closed: there is nobody left to tell
+            self._loop.call_soon_threadsafe(self.emit, "announce", {"text": sentence})
+
+
+@contextlib.asynccontextmanager
+async def _together(*work: Coroutine[Any, Any, None]) -> AsyncIterator[set[asyncio.Task[None]]]:
+    """Tasks that end with the block."""
+    tasks = {asyncio.create_task(one) for one in work}
+    try:
+        yield tasks
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _rests(shell: Shell) -> bool:
+    """The drone rests: Armed or NormalAutonomy, and nothing is on its way to be decided."""
+    return shell.state.state in (State.ARMED, State.IDLE) and shell.state.pending is None

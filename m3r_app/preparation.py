@@ -1,0 +1,72 @@
+"""What is fixed before anything flies: settings, scenario, operator, frame, world. Everything that can be wrong is found here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from config.settings import Settings, load_settings
+from m3r_app.options import RunOptions
+from m3r_app.scenario import SHIPPED, Scenario, load_scenario
+from m3r_app.world import load_geofence, load_obstacles, load_terrain
+from safety.frames import LocalFrame
+from safety.limits import Limits
+from safety.obstacles import Obstacles
+from safety.situation import World
+from safety.terrain import Terrain
+from safety.vocabulary import Geodetic, Operator
+
+FLAT_SIGMA_M = 0.5
+"""How wrong an operator may be who declares the ground flat, 1 sigma."""
+
+
+class OptionError(ValueError):
+    """Options that do not fit together; one sentence."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The stage of one run. operator None: unknown, so there is no pairing (design 1)."""
+
+    settings: Settings
+    limits: Limits
+    scenario: Scenario | None
+    operator: Operator | None
+    frame: LocalFrame
+    """Its origin is where the operator stands."""
+    world: World
+    colours: tuple[str, ...]
+    """The drones that can be paired with."""
+
+
+def prepare(options: RunOptions) -> Setting:
+    """Load and check everything. Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError): one sentence."""
+    settings = load_settings(options.config, options.set)
+    path = options.scenario or (None if options.vehicle else SHIPPED / "hillside.toml")
+    scenario = load_scenario(path) if path is not None else None
+    colours = tuple(options.vehicle or (scenario.vehicles if scenario is not None else ()))
+    if options.pair is not None and options.pair not in colours:
+        raise OptionError(f"--pair {options.pair}: there is no such drone, there are {', '.join(colours)}")
+    place, sigma_m = options.operator, settings.operator.sigma_m
+    if place is None and scenario is not None:
+        place, sigma_m = scenario.operator.place, scenario.operator.sigma_m
+    frame = LocalFrame(place or Geodetic(0.0, 0.0, 0.0))
+    operator = Operator(frame.ned(place), sigma_m) if place is not None else None
+    world = _world(settings, scenario, frame)
+    return Setting(settings, settings.limits(), scenario, operator, frame, world, colours)
+
+
+def _world(settings: Settings, scenario: Scenario | None, frame: LocalFrame) -> World:
+    amsl_m = frame.origin.amsl_m
+    terrain: Terrain | None = None
+    if settings.terrain == "flat":
+        terrain = Terrain.flat(amsl_m, FLAT_SIGMA_M, amsl_m)
+    elif scenario is not None:
+        terrain = load_terrain(scenario, frame)
+    if scenario is None:
+        return World(terrain, Obstacles.none(amsl_m), None)
+    obstacles, fence = scenario.obstacles, scenario.geofence
+    return World(
+        terrain,
+        load_obstacles(scenario.file(obstacles.file), frame) if obstacles is not None else Obstacles.none(amsl_m),
+        load_geofence(scenario.file(fence.file), fence, frame) if fence is not None else None,
+    )
