@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety.bounds import NO_ACCURACY, error_m
-from safety.judging import EPSILON, amount, between, gaps_m, judge, refused, worst
+from safety.judging import EPSILON, amount, between, gaps_m, judge, once, refused, worst
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.vocabulary import Finding, Floats, Neighbours, Path, ReservedVolume
@@ -28,49 +28,43 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     neighbours = situation.neighbours
     if not len(neighbours):
         return Finding(name, requirements, None, "m", True, "no other aircraft")
-    until_s = max(float(path.times_s[-1]), limits.horizon_s)
-    times = np.append(path.times_s, until_s)
-    own = np.concatenate((path.points_ned_m, path.points_ned_m[-1:]))
-    ages = situation.now_s - neighbours.at_s
-    velocities = neighbours.velocities_ned_m_s
+    now, velocities, required = _sky(situation, limits)
+    times = np.append(path.times_s, max(float(path.times_s[-1]), limits.horizon_s))
+    own = np.concatenate((path.points_ned_m, path.points_ned_m[-1:])).T
     # (3, n + 1, k): where the drone is as its neighbours see it; straight lines between the times.
-    now = neighbours.positions_ned_m + velocities * ages[:, None]
-    apart = own.T[:, :, None] - now.T[:, None, :] - times[None, :, None] * velocities.T[:, None, :]
-    squares = (apart * apart).sum(axis=0)
+    apart = own[:, :, None] - (now[:, None, :] + times[:, None] * velocities[:, None, :])
+    squares = np.einsum("xnk,xnk->nk", apart, apart)
     first, last = squares[:-1], squares[1:]
-    onward = (apart[:, :-1] * apart[:, 1:]).sum(axis=0) - first
-    length = first + last - 2.0 * (onward + first)
+    onward = np.einsum("xnk,xnk->nk", apart[:, :-1], apart[:, 1:]) - first
+    length = last - first - 2.0 * onward
     nearest = np.minimum(first, last)
-    inside = (onward < 0.0) & (-onward < length)
-    dip = first - onward * onward / np.where(inside, length, 1.0)
-    nearest = np.where(inside, np.minimum(nearest, dip), nearest)
-    required = _required_m(neighbours, ages, situation, limits) + path.slack_m
-    margins = np.sqrt(squares) - required
+    dips = (onward < 0.0) & (-onward < length)
+    if dips.any():
+        dip = first - onward * onward / np.where(dips, length, 1.0)
+        nearest = np.where(dips, np.minimum(nearest, dip), nearest)
+    required = required + path.slack_m
     least = np.sqrt(np.maximum(nearest, 0.0)) - required
     lowest = least.min(axis=0)
-    if not np.isfinite(lowest).all():
-        which = neighbours.names[int(np.flatnonzero(~np.isfinite(lowest))[0])]
-        return refused(
-            name, requirements, "m", f"separation from {which} cannot be judged: its state or ours is incomplete"
-        )
-    start = margins[0]
+    # argmin takes a margin that is no number for the lowest.
+    k = int(lowest.argmin())
+    if not math.isfinite(lowest[k]):
+        text = f"separation from {neighbours.names[k]} cannot be judged: its state or ours is incomplete"
+        return refused(name, requirements, "m", text)
+    if lowest[k] >= -EPSILON:
+        margin = max(float(lowest[k]), 0.0)
+        return Finding(name, requirements, margin, "m", True, f"{neighbours.names[k]}: {amount(margin)} to spare")
+    margins = np.sqrt(squares) - required
     # Already too close: admissible if no sample of the path is nearer than the one before it, and the hover not than now.
-    mending = (
-        (start < 0.0)
-        & (len(path.times_s) > 1)
-        & (margins[1:-1] >= margins[:-2] - EPSILON).all(axis=0)
-        & (least[-1] >= start - EPSILON)
-    )
-    passed = (lowest >= -EPSILON) | mending
-    worst_of = np.flatnonzero(~passed) if not passed.all() else np.arange(len(lowest))
-    k = int(worst_of[np.argmin(lowest[worst_of])])
-    margin, who = float(lowest[k]), neighbours.names[k]
-    if margin >= -EPSILON:
-        return Finding(name, requirements, max(margin, 0.0), "m", True, f"{who}: {amount(max(margin, 0.0))} to spare")
-    text = f"{amount(margin)} too close to {who}"
-    if passed[k]:
-        return Finding(name, requirements, margin, "m", True, f"{text} already, and this does not make it worse")
-    return Finding(name, requirements, margin, "m", False, text)
+    mending = (margins[0] < 0.0) & (len(path.times_s) > 1) & (least[-1] >= margins[0] - EPSILON)
+    mending &= (margins[1:-1] >= margins[:-2] - EPSILON).all(axis=0)
+    failing = (lowest < -EPSILON) & ~mending
+    passed = not failing.any()
+    if not passed:
+        k = int(np.where(failing, lowest, np.inf).argmin())
+    margin, text = float(lowest[k]), f"{amount(lowest[k])} too close to {neighbours.names[k]}"
+    if passed:
+        text += " already, and this does not make it worse"
+    return Finding(name, requirements, margin, "m", passed, text)
 
 
 def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -152,6 +146,19 @@ def neighbours_that_matter(
         velocities_ned_m_s=velocities[which],
         sigmas_m=neighbours.sigmas_m[which],
         at_s=neighbours.at_s[which],
+    )
+
+
+@once
+def _sky(situation: Situation, limits: Limits) -> tuple[Floats, Floats, Floats]:
+    """(3, k) where the neighbours are now, (3, k) their velocities, (k,) what each must stay away."""
+    neighbours = situation.neighbours
+    ages = situation.now_s - neighbours.at_s
+    velocities = neighbours.velocities_ned_m_s.T
+    return (
+        neighbours.positions_ned_m.T + velocities * ages,
+        velocities,
+        _required_m(neighbours, ages, situation, limits),
     )
 
 
