@@ -213,7 +213,8 @@ def _polygons(path: Path, name: str, geometry: dict[str, Any], frame: LocalFrame
             f"GeoJSON {path}: {name} is {far_m / 1000:.0f} km from the origin; it must be longitude, latitude of this place"
         )
     moved = shapely.set_coordinates(shape, north_east)
-    return list(moved.geoms) if isinstance(moved, shapely.MultiPolygon) else [moved]
+    parts = moved.geoms if isinstance(moved, shapely.MultiPolygon) else [moved]
+    return [part for part in parts if isinstance(part, shapely.Polygon)]
 
 
 def _metres(path: Path, name: str, properties: dict[str, Any], key: str) -> float:

@@ -142,11 +142,12 @@ class Multirotor:
         vn, ve, vd = true_n + velocity_error.north, true_e + velocity_error.east, true_d + velocity_error.down
         sp_n, sp_e, sp_d = setpoint.position
         vs_n, vs_e, vs_d = setpoint.velocity
-        # Horizontal. NaN is the only float that differs from itself.
-        if sp_n == sp_n and sp_e == sp_e:
-            vs_n = (vs_n if vs_n == vs_n else 0.0) + frame.xy_p * (sp_n - self.position.north - position_error.north)
-            vs_e = (vs_e if vs_e == vs_e else 0.0) + frame.xy_p * (sp_e - self.position.east - position_error.east)
-        if vs_n == vs_n and vs_e == vs_e:
+        isnan = math.isnan
+        # Horizontal
+        if not (isnan(sp_n) or isnan(sp_e)):
+            vs_n = (0.0 if isnan(vs_n) else vs_n) + frame.xy_p * (sp_n - self.position.north - position_error.north)
+            vs_e = (0.0 if isnan(vs_e) else vs_e) + frame.xy_p * (sp_e - self.position.east - position_error.east)
+        if not (isnan(vs_n) or isnan(vs_e)):
             speed = math.hypot(vs_n, vs_e)
             fastest = min(frame.xy_vel_max_m_s, setpoint.speed_max_m_s)
             if speed > fastest:
@@ -168,9 +169,9 @@ class Multirotor:
         an += (want_n - an) * lag
         ae += (want_e - ae) * lag
         # Vertical
-        if sp_d == sp_d:
-            vs_d = (vs_d if vs_d == vs_d else 0.0) + frame.z_p * (sp_d - self.position.down - position_error.down)
-        if vs_d == vs_d:
+        if not isnan(sp_d):
+            vs_d = (0.0 if isnan(vs_d) else vs_d) + frame.z_p * (sp_d - self.position.down - position_error.down)
+        if not isnan(vs_d):
             highest = min(frame.up_max_m_s, setpoint.up_max_m_s)
             vs_d = max(-highest, min(frame.down_max_m_s, setpoint.down_max_m_s, vs_d))
             want_d = frame.z_vel_p * (vs_d - vd) + id_
@@ -186,7 +187,7 @@ class Multirotor:
 
     def _turn(self, dt_s: float, setpoint: Setpoint) -> None:
         frame = self.airframe
-        if setpoint.yaw_deg == setpoint.yaw_deg:
+        if not math.isnan(setpoint.yaw_deg):
             error = wrap_deg(setpoint.yaw_deg - self.yaw_deg)
             # The square root is the fastest rate from which it can still stop in time.
             rate = min(

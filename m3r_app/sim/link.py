@@ -163,7 +163,7 @@ class VehicleLink:
 
     def _battery_status(self) -> Message:
         pilot = self.autopilot
-        cells = [int((3500 + 700 * pilot.battery))] * 4 + [65535] * 6
+        cells = [int(3500 + 700 * pilot.battery)] * 4 + [65535] * 6
         percent = round(100.0 * pilot.battery)
         state = 1 + sum(
             pilot.battery <= pilot.parameters[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
