@@ -136,6 +136,7 @@ class Autopilot:
         self._frozen = self._bias = ZERO
         self._hold, self._hold_yaw_deg = drone.position, drone.yaw_deg
         self._return_down_m = 0.0
+        self._runner, self._runner_m_s = drone.position, 0.0
         self._entered: FlightMode | None = None
         self._battery_warned = 0
 
@@ -462,6 +463,8 @@ class Autopilot:
         if mode is FlightMode.RTL:
             away = self.home.minus(here).horizontal
             self._return_down_m = min(here.down, self.home.down - min(self.parameters["RTL_RETURN_ALT"], away))
+        elif mode is FlightMode.MISSION:
+            self._runner, self._runner_m_s = self._hold, 0.0
         elif mode is FlightMode.TAKEOFF:
             up = self.parameters["MIS_TAKEOFF_ALT"]
             self._hold = Ned(here.north, here.east, self._ground_here() + self.position_error.down - up)
@@ -508,19 +511,31 @@ class Autopilot:
         return self._go(Ned(home.north, home.east, self._return_down_m), self._hold_yaw_deg)
 
     def _fly_mission(self) -> Setpoint:
-        here, goal = self.position, self.waypoints[self.waypoint]
-        if goal.minus(here).norm < self.parameters["NAV_ACC_RAD"]:
+        """Follow a point that runs straight from waypoint to waypoint with bounded acceleration, and rests at each."""
+        goal = self.waypoints[self.waypoint]
+        if self._runner == goal and goal.minus(self.position).norm < self.parameters["NAV_ACC_RAD"]:
             if self.waypoint == len(self.waypoints) - 1 and not self._mission_loops:
                 self.intended, self._entered, self._hold = FlightMode.LOITER, FlightMode.LOITER, goal
                 return self._go(goal, self._hold_yaw_deg)
             self.waypoint = (self.waypoint + 1) % len(self.waypoints)
             goal = self.waypoints[self.waypoint]
-        away = goal.minus(here)
+        away = goal.minus(self._runner)
+        left_m = away.norm
+        acceleration = self.parameters["MPC_ACC_HOR"]
+        self._runner_m_s = min(
+            self._runner_m_s + acceleration * TICK_S,
+            self.parameters["MPC_XY_CRUISE"],
+            math.sqrt(2.0 * acceleration * left_m),
+        )
+        run_m = self._runner_m_s * TICK_S
+        if run_m >= left_m - 1e-3:
+            self._runner, self._runner_m_s = goal, 0.0
+            return Setpoint(position=goal, yaw_deg=self._hold_yaw_deg)
         if away.horizontal > 1.5:
             self._hold_yaw_deg = math.degrees(math.atan2(away.east, away.north))
-        if self._ground_here() - self.drone.position.down < 1.5:
-            return self._go(Ned(here.north, here.east, goal.down), self.drone.yaw_deg)
-        return self._go(goal, self._hold_yaw_deg)
+        self._runner = self._runner.plus(Ned(*(run_m / left_m * x for x in away)))
+        velocity = Ned(*(self._runner_m_s / left_m * x for x in away))
+        return Setpoint(position=self._runner, velocity=velocity, yaw_deg=self._hold_yaw_deg)
 
 
 def _loss_action(act: int, reason: str) -> Failsafe | None:

@@ -7,7 +7,6 @@ import math
 import selectors
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from random import Random
 from typing import IO
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from m3r_app.scenario import Scenario, Traffic, VehicleStart, Waypoint
 from m3r_app.sim.autopilot import TICK_S, Autopilot, FlightMode
-from m3r_app.sim.dynamics import Airframe, Multirotor, PositionError, Wind
+from m3r_app.sim.dynamics import Multirotor, PositionError, Wind
 from m3r_app.sim.link import VehicleLink
 from m3r_app.sim.parameters import Parameters
 from m3r_app.world import load_terrain
@@ -104,8 +103,8 @@ class Fleet:
             raise ValueError(f"scenario {scenario.path}: traffic.{name} flies where the terrain model has no data")
         there_and_back = (*places, *places[-2:0:-1]) if traffic.loop else places
         # Somebody else's drone is flown gently, inside what neighbours are assumed to do.
-        drone = Multirotor(position=places[0], airframe=replace(Airframe(), acc_max_m_s2=1.0))
-        parameters = Parameters({"MPC_XY_CRUISE": traffic.speed_m_s})
+        drone = Multirotor(position=places[0])
+        parameters = Parameters({"MPC_XY_CRUISE": traffic.speed_m_s, "MPC_ACC_HOR": 1.0})
         return Autopilot(
             drone, self._error(scenario, name), self._ground_down_m, parameters, there_and_back, mission_loops=traffic.loop
         )

@@ -31,6 +31,7 @@ DEFAULTS: dict[str, int | float] = {
     "MAV_SYS_ID": 1,
     "MAV_TYPE": 2,
     "MIS_TAKEOFF_ALT": 2.5,
+    "MPC_ACC_HOR": 3.0,
     "MPC_LAND_SPEED": 0.7,
     "MPC_TKO_SPEED": 1.5,
     "MPC_XY_CRUISE": 5.0,
