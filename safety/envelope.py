@@ -44,13 +44,9 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
             return refused(name, requirements, unit, f"the plan's {what} is no number")
         if abs(margin) <= ROUNDING * bound:
             margin = 0.0
-        relative = margin / bound if bound > 0.0 else (0.0 if margin == 0.0 else math.copysign(math.inf, margin))
+        relative = margin / bound if bound > 0.0 else math.copysign(math.inf, margin) if margin else 0.0
         if worst is None or relative < worst[0]:
-            worst = (relative, margin, what, unit)
+            worst = (relative, margin, unit, f"{what} {amount(value, unit)}, at most {amount(bound, unit)}")
     assert worst is not None
-    _, margin, what, unit = worst
-    if margin >= 0.0:
-        return Finding(
-            name, requirements, margin, unit, True, f"flight envelope: {what} {amount(margin, unit)} below its bound"
-        )
-    return Finding(name, requirements, margin, unit, False, f"{what} {amount(margin, unit)} above its bound")
+    _, margin, unit, text = worst
+    return Finding(name, requirements, margin, unit, margin >= 0.0, text)

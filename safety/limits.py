@@ -33,6 +33,8 @@ class Limits:
     """tau_max"""
     neighbour_acceleration_m_s2: float = 2.0
     """What a neighbour may do beside flying straight on in the age of its state."""
+    neighbour_turn: float = 1.0
+    """Share of its speed that a neighbour may have lost or turned aside in the age of its state; 0: it flew straight on."""
     silent_speed_m_s: float = 2.0
     """A neighbour older than that could be anywhere in a ball that grows this much faster than it last flew."""
     horizon_s: float = 10.0

@@ -166,7 +166,7 @@ def _required_m(neighbours: Neighbours, ages: Floats, situation: Situation, limi
     """(k,) what each neighbour must stay away."""
     speeds = np.sqrt((neighbours.velocities_ned_m_s**2).sum(axis=1))
     ages = np.abs(ages)
-    travel = (speeds + 0.5 * limits.neighbour_acceleration_m_s2 * ages) * ages
+    travel = (limits.neighbour_turn * speeds + 0.5 * limits.neighbour_acceleration_m_s2 * ages) * ages
     sigmas = np.where(neighbours.sigmas_m >= 0.0, neighbours.sigmas_m, np.nan)
     own_m = limits.separation_m + error_m(situation.vehicle.sigma_m, limits)
     return np.asarray(own_m + limits.sigma_k * sigmas + travel)
