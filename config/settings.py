@@ -85,6 +85,7 @@ class Pairing(Section):
     """What a drone must be to be paired with. Source: P1, X8."""
 
     range_m: Annotated[float, Ge(5), Le(500)]
+    operator_sigma_max_m: Annotated[float, Ge(0.1), Le(20)]
     answer_s: Annotated[float, Ge(1), Le(120)]
 
 

@@ -1,0 +1,296 @@
+"""The command line: `m3r run | sim | models | evaluate | modes`. Composes; decides nothing.
+
+Exit status: 0 ended normally, 1 a fault of ours, 2 bad input, 3 no vehicle or lost, 4 a violation, 130 interrupted.
+Whatever goes wrong is one sentence on standard error; `M3R_DEBUG=1` shows tracebacks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import logging
+import os
+import re
+import sys
+import threading
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from m3r_app.options import (
+    OptionError,
+    RunOptions,
+    parse_audio,
+    parse_colour,
+    parse_file,
+    parse_place,
+    parse_takeoff,
+    parse_timeout,
+    parse_vehicles,
+    parse_video,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+FAULT, BAD_INPUT, NO_VEHICLE, INTERRUPTED = 1, 2, 3, 130
+OUR_PACKAGES = ("safety", "config", "modalities", "m3r_app", "ui")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    debug = os.environ.get("M3R_DEBUG") == "1"
+    if not debug:
+        _no_tracebacks()
+    try:
+        options = _parse(list(sys.argv[1:] if arguments is None else arguments))
+        status: int = options.run(options)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read our output has seen enough
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        _say(_told(error))
+        return _status(error)
+    return status
+
+
+def _told(error: Exception) -> str:
+    """An exception class of ours carries one sentence for a person; any other is a fault."""
+    if _is_ours(error):
+        return str(error)
+    return f"unexpected {type(error).__name__}: {error} (a fault in m3r; M3R_DEBUG=1 shows where)"
+
+
+def _status(error: Exception) -> int:
+    if not _is_ours(error):
+        return FAULT
+    return NO_VEHICLE if type(error).__name__ == "VehicleError" else BAD_INPUT
+
+
+def _is_ours(error: Exception) -> bool:
+    return type(error).__module__.partition(".")[0] in OUR_PACKAGES
+
+
+def _say(text: str) -> None:
+    print(f"m3r: {' '.join(text.split())}", file=sys.stderr, flush=True)
+
+
+def _no_tracebacks() -> None:
+    """Faults in threads, callbacks and destructors are told in one line too."""
+
+    class OneLine(logging.Formatter):
+        def format(self, record: logging.LogRecord) -> str:
+            error = record.exc_info[1] if record.exc_info else None
+            cause = f" ({type(error).__name__}: {error})" if error else ""
+            return " ".join(f"m3r: {record.getMessage()}{cause}".split())
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine())
+    handler.setLevel(logging.WARNING)
+    logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)
+
+    def told(fault: Any) -> None:
+        if fault.exc_value is not None and not isinstance(fault.exc_value, SystemExit):
+            _say(_told(fault.exc_value))
+
+    threading.excepthook = told
+    sys.unraisablehook = told
+
+
+class _Parser(argparse.ArgumentParser):
+    """Errors in one sentence with a did-you-mean; no abbreviated options."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        choice = re.search(r"invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
+        if choice:
+            known = re.findall(r"[\w-]+", choice[2])
+            message = f"there is no {self.prog} {choice[1]}{_guess(choice[1], known)}"
+        self.exit(BAD_INPUT, f"m3r: {' '.join(message.split())}\n")
+
+
+def _guess(word: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]}?" if close else f": choose from {', '.join(known)}"
+
+
+def _parse(arguments: list[str]) -> argparse.Namespace:
+    parser = _parser()
+    options, unknown = parser.parse_known_args(_joined(arguments))
+    if unknown:
+        chosen: _Parser = options.parser
+        known = [option for action in chosen._actions for option in action.option_strings]  # noqa: SLF001  (no public list)
+        word = unknown[0].partition("=")[0]
+        close = difflib.get_close_matches(word, known, n=1)
+        hint = f"; did you mean {close[0]}?" if close else f"; {chosen.prog} --help lists what there is"
+        kind = "option" if word.startswith("-") else "argument"
+        chosen.error(f"{chosen.prog} has no {kind} {word}{hint}")
+    return options
+
+
+def _joined(arguments: list[str]) -> list[str]:
+    """`--operator -33.9,…` as one word: argparse would take a southern latitude for an option."""
+    joined: list[str] = []
+    for word in arguments:
+        if joined and joined[-1] == "--operator" and re.match(r"-[\d.]", word):
+            joined[-1] = f"--operator={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="m3r", description="Ask a drone for small moves by voice or script; only the safe part is flown."
+    )
+    parser.add_argument("--version", action="version", version=f"m3r {version('m3r')}")
+    parser.set_defaults(parser=parser, run=_run_nothing)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _add_run(commands)
+    _add_sim(commands)
+    _add_models(commands)
+    _add_evaluate(commands)
+    _add(commands, "modes", "print the mode machine as a Mermaid diagram", _run_modes)
+    return parser
+
+
+def _add(commands: Any, name: str, about: str, run: Callable[[argparse.Namespace], int]) -> _Parser:
+    parser: _Parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+    parser.set_defaults(parser=parser, run=run)
+    return parser
+
+
+def _typed(parse: Callable[[str], object]) -> Callable[[str], object]:
+    """`parse` as argparse takes it: its sentence is kept."""
+
+    def convert(text: str) -> object:
+        try:
+            return parse(text)
+        except OptionError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return convert
+
+
+def _add_run(commands: Any) -> None:
+    run = _add(commands, "run", "pair with a drone and fly what is asked for, as far as it is safe", _run_run)
+    file = _typed(parse_file)
+    run.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
+    run.add_argument("--audio", type=_typed(parse_audio), metavar="FILE|none", help="a recording of the operator")
+    run.add_argument("--video", type=_typed(parse_video), metavar="none", help="no gestures yet")
+    run.add_argument("--script", type=file, metavar="FILE|-", help="timed commands, such as: 2.0 panel go left")
+    run.add_argument("--pair", type=_typed(parse_colour), metavar="COLOUR", help="pair with this drone at the start")
+    run.add_argument(
+        "--vehicle",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="COLOUR=MAVLINK-URL",
+        help="real drones instead of the simulated fleet, such as red=udpin://0.0.0.0:14540",
+    )
+    run.add_argument("--scenario", type=file, metavar="FILE", help="terrain, obstacles, fence, traffic (TOML)")
+    run.add_argument("--config", type=file, action="append", default=[], metavar="FILE", help="settings (TOML)")
+    run.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="one setting: envelope.speed_m_s=0.3"
+    )
+    run.add_argument("--operator", type=_typed(parse_place), metavar="LAT,LON,AMSL", help="where the operator stands")
+    run.add_argument("--takeoff", type=_typed(parse_takeoff), metavar="METRES", help="take off to this height first")
+    run.add_argument("--apply-failsafe", action="store_true", help="set the required failsafe parameters first")
+    run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
+    run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
+
+
+def _add_sim(commands: Any) -> None:
+    sim = _add(commands, "sim", "fly only the simulated fleet, for other tools", _run_sim)
+    sim.add_argument("--scenario", type=_typed(parse_file), metavar="FILE", help="scenario file (TOML)")
+
+
+def _add_models(commands: Any) -> None:
+    models = _add(commands, "models", "list or fetch the voice models", _run_models)
+    models.add_argument("action", choices=("list", "fetch"))
+
+
+def _add_evaluate(commands: Any) -> None:
+    evaluate = _add(commands, "evaluate", "measure recognition on a folder of recordings; prints JSON", _run_evaluate)
+    evaluate.add_argument("what", choices=("voice",))
+    evaluate.add_argument("folder", type=Path, metavar="DIR", help="one sub-folder per expected command")
+
+
+def _run_nothing(options: argparse.Namespace) -> int:
+    options.parser.print_help(sys.stderr)
+    return BAD_INPUT
+
+
+def _run_run(options: argparse.Namespace) -> int:
+    asked = RunOptions(
+        headless=options.headless,
+        audio=options.audio,
+        script=options.script,
+        pair=options.pair,
+        vehicle=parse_vehicles(options.vehicle),
+        scenario=options.scenario,
+        config=tuple(options.config),
+        set=tuple(options.set),
+        operator=options.operator,
+        takeoff=options.takeoff,
+        apply_failsafe=options.apply_failsafe,
+        record=options.record,
+        timeout_s=options.timeout,
+    )
+    import asyncio
+
+    from m3r_app.app import run
+    from ui.headless import HeadlessPrinter
+    from ui.narrator import Narrator
+
+    printer, narrator = HeadlessPrinter(), Narrator(sys.stderr if asked.headless else sys.stdout)
+
+    def emit(event: dict[str, Any]) -> None:
+        if asked.headless:
+            printer(event)
+        narrator(event)
+
+    return asyncio.run(run(asked, emit))
+
+
+def _run_sim(options: argparse.Namespace) -> int:
+    from m3r_app.sim.__main__ import main as simulate
+
+    return simulate([] if options.scenario is None else ["--scenario", str(options.scenario)])
+
+
+def _run_models(options: argparse.Namespace) -> int:
+    from modalities.models import fetch_model, list_models
+
+    if options.action == "fetch":
+        print(fetch_model())
+    else:
+        print("\n".join(list_models()))
+    return 0
+
+
+def _run_evaluate(options: argparse.Namespace) -> int:
+    import json
+
+    from modalities.evaluate import evaluate_voice
+
+    print(json.dumps(evaluate_voice(options.folder), indent=2, allow_nan=False))
+    return 0
+
+
+def _run_modes(_options: argparse.Namespace) -> int:
+    from m3r_app.modes import mermaid
+
+    print(mermaid())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
