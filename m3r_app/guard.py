@@ -138,7 +138,8 @@ class Guard:
     def _command_hold(self, hold: Callable[[float], None], silent_s: float) -> None:
         """Command Hold until it is acknowledged, or somebody else decides."""
         failures = 0
-        while self._hold is hold and self._stalled and not self._closing.is_set():
+        # Once in any case, even if the loop has come back meanwhile and armed anew: what it was told must be true.
+        while self._hold is not None and (failures == 0 or self._stalled) and not self._closing.is_set():
             try:
                 hold(HOLD_TIMEOUT_S)
             except Exception as error:  # whatever it is, the next try must come

@@ -57,18 +57,6 @@ def require_free(host: str, port: int, kind: int = socket.SOCK_DGRAM) -> None:
             raise LinkError(f"{port} is not a port: give a number from 1 to 65535.") from None
 
 
-def free_udp_ports(count: int, host: str = "127.0.0.1") -> list[int]:
-    """Distinct UDP ports that nobody holds now, chosen by the system."""
-    probes = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind((host, 0))
-        return [int(probe.getsockname()[1]) for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()
-
-
 def _host_port(url: str) -> tuple[str, int]:
     try:
         parts = urlsplit(url)

@@ -38,6 +38,8 @@ COMMAND_TIMEOUT_S = 4.0
 """MAVSDK itself sends a command three times, half a second apart or more, before it gives up."""
 SETPOINT_AGE_S = 0.5
 """Offboard is entered only from a position at most this old."""
+MODE_WAIT_S = 2.5
+"""The flight mode is reported at 1 Hz, and a report may be lost."""
 OFFBOARD_RETRY_S = 2.0
 """PX4 denies Offboard until it has seen setpoints: how long to ask again."""
 HEALTH_WAIT_S = 3.0
@@ -141,6 +143,10 @@ class Vehicle:
         if listener in self._listeners:
             self._listeners.remove(listener)
 
+    def off_telemetry(self, listener: Callable[[Telemetry], None]) -> None:
+        """Call listener no more."""
+        self._listeners.remove(listener)
+
     def telemetry(self) -> Telemetry:
         """The latest of everything, now. Silence is seen in its ages."""
         return self._reception.slots.snapshot(self._clock())
@@ -193,23 +199,35 @@ class Vehicle:
         except (MavsdkError, RuntimeError) as error:
             raise VehicleError(f"{self.colour}: a setpoint could not be sent ({error}).") from None
 
+    def here(self) -> tuple[Ned, float] | None:
+        """The vehicle's own position (m) and yaw (deg); None if they are unknown or too old to start from."""
+        telemetry = self.telemetry()
+        if telemetry.local is None or not telemetry.age_s(self._clock()) <= SETPOINT_AGE_S:
+            return None
+        return telemetry.local, telemetry.yaw_deg
+
     async def enter_offboard(self) -> None:
-        """Enter Offboard at the present position and yaw, never at a remembered one. Raises VehicleError."""
+        """Enter Offboard at the present position and yaw, never at a remembered one. Raises VehicleError.
+
+        Returns when the vehicle itself reports Offboard (up to a second after it has acknowledged: HEARTBEAT, 1 Hz).
+        """
         deadline_s = self._loop.time() + OFFBOARD_RETRY_S
         while True:
-            telemetry = self.telemetry()
-            local, age_s = telemetry.local, telemetry.age_s(self._clock())
-            if local is None or not age_s <= SETPOINT_AGE_S:
+            here = self.here()
+            if here is None:
+                age_s = self.telemetry().age_s(self._clock())
                 raise VehicleError(
-                    f"{self.colour}: Offboard needs a fresh position, and the last one is {age_s:.1f} s old."
+                    f"{self.colour}: Offboard needs a fresh position, and the last is {age_s:.1f} s old."
                 )
-            self.set_position_ned(local, telemetry.yaw_deg)
+            self.set_position_ned(*here)
             try:
-                return await self._command("Offboard", self._offboard.start_async)
+                await self._command("Offboard", self._offboard.start_async)
+                break
             except VehicleError:
                 if self._loop.time() > deadline_s:
                     raise
             await asyncio.sleep(0.1)
+        await self.wait_for(lambda t: t.flight_mode == "OFFBOARD", MODE_WAIT_S, "Offboard")
 
     async def hold(self) -> None:
         """Command Hold; returns when it is acknowledged. Raises VehicleError. That it holds is seen in flight_mode."""
