@@ -13,7 +13,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from m3r_app import failsafe
@@ -173,11 +172,11 @@ class _Run:
             "world": setting.world,
             "model": inputs.model,
         }
-        self._recording = Recorder(Path(self.options.record), metadata, self._say_soon)
+        self._recording = Recorder(self.options.record, metadata, self._say_soon)
 
     async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
-        if self.options.vehicle:
-            links = Links(dict(self.options.vehicle), {}, complete=False)
+        if self.options.vehicles:
+            links = Links(dict(self.options.vehicles), {}, complete=False)
         else:
             scenario = setting.scenario
             assert scenario is not None
@@ -228,9 +227,9 @@ class _Run:
         if setting.operator is None:
             return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
         await vehicle.wait_ready(setting.settings.pairing.answer_s)
-        if self.options.takeoff is not None and vehicle.telemetry().in_air is False:
-            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff:g} m"})
-            await vehicle.takeoff(self.options.takeoff)
+        if self.options.takeoff_m is not None and vehicle.telemetry().in_air is False:
+            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff_m:g} m"})
+            await vehicle.takeoff(self.options.takeoff_m)
         pairing = PairingLimits(setting.settings.pairing.range_m, setting.settings.pairing.operator_sigma_max_m)
         found = objections(
             vehicle.telemetry(), setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock()

@@ -44,6 +44,7 @@ from safety.planner import plan_return
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, decide_plan, interpret, swept_volume
 from safety.vocabulary import (
+    PRIMITIVE_OF,
     Anchor,
     Command,
     Decision,
@@ -271,7 +272,8 @@ class _Step:
             self.refuse(pending, _unmet("contradiction", ("X14",), why))
 
     def refuse(self, request: ManeuverRequest, finding: Finding) -> None:
-        self.decided(request, Decision(request.id, Verdict.REJECTED, None, None, (finding,)))
+        primitive = PRIMITIVE_OF.get(request.command)
+        self.decided(request, Decision(request.id, primitive, Verdict.REJECTED, None, None, (finding,)))
 
     # ------------------------------------------------------------ deciding
 
@@ -309,7 +311,9 @@ class _Step:
             self.go(Cause.CONFIDENCE_LOW)
             return
         offer = self.state.policy.replace == "offer"
-        decision = decide(request, intent, situation, self.state.limits, may_delay=may_delay, offer=offer)
+        decision = decide(
+            request, intent, situation, self.state.limits, may_delay=may_delay, offer=offer, rules=self.state.rules
+        )
         unsure = any(f.constraint == "input_confidence" for f in decision.failing)
         if self.state.state is State.DETECTED:
             self.go(Cause.CONFIDENCE_LOW if unsure else Cause.CONFIDENCE_OK)
@@ -350,7 +354,7 @@ class _Step:
         failing: tuple[Finding, ...] = ()
         if situation is not None:
             request = None if deciding.request.id == RETURN_ID else deciding.request
-            findings = assess(plan, request, situation, self.state.limits)
+            findings = assess(plan, request, situation, self.state.limits, self.state.rules)
             failing = tuple(f for f in findings if not f.passed)
         if situation is None or failing:
             self.do(Release(event.request_id))
@@ -519,7 +523,14 @@ class _Step:
             return
         self.be(checked_at_s=self.now_s)
         if not over:
-            again = decide(deciding.request, deciding.intent, situation, self.state.limits, may_delay=False)
+            again = decide(
+                deciding.request,
+                deciding.intent,
+                situation,
+                self.state.limits,
+                may_delay=False,
+                rules=self.state.rules,
+            )
             if again.verdict is not Verdict.APPROVED:
                 return
         self.be(deciding=None)
@@ -595,9 +606,9 @@ class _Step:
         self.be(checked_at_s=self.now_s)
         plan = flight.plan if flight else None
         elapsed_s = self.now_s - flight.started_at_s if flight else 0.0
-        seen = watch(
-            situation, plan, elapsed_s, self.state.speed_m_s, flight.baseline if flight else {}, self.state.limits
-        )
+        baseline = flight.baseline if flight else {}
+        s = self.state
+        seen = watch(situation, plan, elapsed_s, s.speed_m_s, baseline, s.limits, s.rules)
         if flight is not None:
             measured = replace(
                 flight.measured,
@@ -644,7 +655,7 @@ class _Step:
             return
         vehicle, limits = situation.vehicle, self.state.limits
         plan = plan_return(vehicle.position, vehicle.yaw_deg, situation.operator.position, anchor.position, limits)
-        decision = decide_plan(RETURN_ID, plan, None, situation, limits)
+        decision = decide_plan(RETURN_ID, plan, None, situation, limits, rules=self.state.rules)
         if decision.verdict is not Verdict.APPROVED:
             self.be(return_at_s=None)
         elif self.state.return_at_s is None:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from m3r_app.fusion import Remembered
 from m3r_app.modes import MODE_OF, State
+from safety.constraints import RULES, Rule
 from safety.limits import Limits
 from safety.situation import World
 from safety.supervisor import Intent
@@ -247,6 +248,7 @@ class ArbiterState:
 
     limits: Limits
     policy: Policy
+    rules: tuple[Rule, ...] = RULES
     state: State = State.IDLE
     session: Session | None = None
     vehicle: VehicleState | None = None

@@ -141,7 +141,7 @@ class MotionController:
             task = _Hover(point, yaw_deg, 0.0, Profile(0.0, self._yaw_rate_deg_s, self._yaw_acceleration_deg_s2))
         self._task = task
         self._since_s = self._clock()
-        self._send()
+        self.send()
 
     def _hover(self, bearing_deg: float | None) -> _Hover | None:
         here = self._autopilot.here()
@@ -152,7 +152,8 @@ class MotionController:
         turn = Profile(abs(turn_deg), self._yaw_rate_deg_s, self._yaw_acceleration_deg_s2)
         return _Hover(point, yaw_deg, turn_deg, turn)
 
-    def _send(self) -> None:
+    def send(self) -> None:
+        """One setpoint, for now."""
         if self._task is None or not self.engaged:
             return
         t_s = self._clock()
@@ -176,4 +177,4 @@ class MotionController:
             elif late_s > PERIOD_S:
                 due_s = self._clock()
             self._beat()
-            self._send()
+            self.send()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from config.settings import Settings, load_settings
-from m3r_app.options import RunOptions
+from m3r_app.options import OptionError, RunOptions
 from m3r_app.scenario import SHIPPED, Scenario, load_scenario
 from m3r_app.world import load_geofence, load_obstacles, load_terrain
 from safety.frames import LocalFrame
@@ -17,10 +17,6 @@ from safety.vocabulary import Geodetic, Operator
 
 FLAT_SIGMA_M = 0.5
 """How wrong an operator may be who declares the ground flat, 1 sigma."""
-
-
-class OptionError(ValueError):
-    """Options that do not fit together; one sentence."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +36,10 @@ class Setting:
 
 def prepare(options: RunOptions) -> Setting:
     """Load and check everything. Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError): one sentence."""
-    settings = load_settings(options.config, options.set)
-    path = options.scenario or (None if options.vehicle else SHIPPED / "hillside.toml")
+    settings = load_settings(options.config, options.overrides)
+    path = options.scenario or (None if options.vehicles else SHIPPED / "hillside.toml")
     scenario = load_scenario(path) if path is not None else None
-    colours = tuple(options.vehicle or (scenario.vehicles if scenario is not None else ()))
+    colours = tuple(options.vehicles or (scenario.vehicles if scenario is not None else ()))
     if options.pair is not None and options.pair not in colours:
         raise OptionError(f"--pair {options.pair}: there is no such drone, there are {', '.join(colours)}")
     place, sigma_m = options.operator, settings.operator.sigma_m

@@ -367,7 +367,7 @@ class Decision:
     """
 
     request_id: str
-    primitive: Primitive
+    primitive: Primitive | None
     verdict: Verdict
     requested_m: float | None
     granted_m: float | None
