@@ -8,6 +8,7 @@ and the autopilot's own failsafe acts. The guard keeps real time, not the app's 
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import subprocess
@@ -16,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 HOLD_AFTER_S = 0.7
 """Silence of the control loop after which the thread commands Hold; the requirement is 1 s."""
@@ -142,7 +144,7 @@ class Guard:
         while self._hold is not None and (failures == 0 or self._stalled) and not self._closing.is_set():
             try:
                 hold(HOLD_TIMEOUT_S)
-            except Exception as error:  # whatever it is, the next try must come
+            except Exception as error:  # noqa: BLE001 - whatever it is, the next try must come
                 failures += 1
                 if failures == 1:
                     self._report(f"the control loop is silent, and the guard's Hold failed and is tried again: {error}")
@@ -193,8 +195,9 @@ class _GuardProcess:
         finally:
             if pidfd >= 0:
                 os.close(pidfd)
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._to, self._from = self._process.stdin, self._process.stdout
+        # Unbuffered pipes are raw files; their read gives None where there is nothing yet.
+        self._to = cast("io.RawIOBase", self._process.stdin)
+        self._from = cast("io.RawIOBase", self._process.stdout)
         os.set_blocking(self._to.fileno(), False)
         os.set_blocking(self._from.fileno(), False)
         self._unanswered = 0

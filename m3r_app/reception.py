@@ -68,7 +68,7 @@ class Reception:
     def request_rates(self, motion_hz: float) -> None:
         """Ask for position and attitude at motion_hz, the rest slower. Refusals show in the ages, which are judged."""
 
-        def answered(result: Any, _: Any) -> None:
+        def answered(*_: Any) -> None:
             return
 
         telemetry = self._telemetry

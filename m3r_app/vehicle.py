@@ -143,10 +143,6 @@ class Vehicle:
         if listener in self._listeners:
             self._listeners.remove(listener)
 
-    def off_telemetry(self, listener: Callable[[Telemetry], None]) -> None:
-        """Call listener no more."""
-        self._listeners.remove(listener)
-
     def telemetry(self) -> Telemetry:
         """The latest of everything, now. Silence is seen in its ages."""
         return self._reception.slots.snapshot(self._clock())
@@ -198,13 +194,6 @@ class Vehicle:
             self._offboard.set_position_ned(PositionNedYaw(*point, yaw_deg))
         except (MavsdkError, RuntimeError) as error:
             raise VehicleError(f"{self.colour}: a setpoint could not be sent ({error}).") from None
-
-    def here(self) -> tuple[Ned, float] | None:
-        """The vehicle's own position (m) and yaw (deg); None if they are unknown or too old to start from."""
-        telemetry = self.telemetry()
-        if telemetry.local is None or not telemetry.age_s(self._clock()) <= SETPOINT_AGE_S:
-            return None
-        return telemetry.local, telemetry.yaw_deg
 
     async def enter_offboard(self) -> None:
         """Enter Offboard at the present position and yaw, never at a remembered one. Raises VehicleError.
@@ -261,6 +250,8 @@ class Vehicle:
 
     async def takeoff(self, metres: float, timeout_s: float = 60.0) -> None:
         """Arm, take off to `metres` above here and wait there in Hold. Gated on health by us. Raises VehicleError."""
+        if not (math.isfinite(metres) and metres > 0.0):
+            raise VehicleError(f"{self.colour}: a take-off to {metres:g} m is none: give a height above 0.")
         telemetry = await self.wait_ready()
         if not telemetry.healthy:
             raise VehicleError(f"{self.colour}: not fit to take off: {', '.join(telemetry.unhealthy)}.")

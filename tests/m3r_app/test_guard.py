@@ -31,9 +31,9 @@ APP = """
         kind = sys.argv[1]
         say("stuck")
         if kind == "block":
-            time.sleep(3.0)
+            time.sleep(1.5)
         elif kind == "gil":
-            ctypes.PyDLL(None).usleep(3_000_000)
+            ctypes.PyDLL(None).usleep(1_500_000)
 
     async def main():
         guard = Guard(lambda text: say("report", text))
