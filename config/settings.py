@@ -63,6 +63,8 @@ class Separation(Section):
     separation_m: Annotated[float, Ge(1), Le(200)]
     neighbour_age_s: Annotated[float, Ge(0.1), Le(5)]
     neighbour_acceleration_m_s2: Annotated[float, Ge(0.5), Le(20)]
+    neighbour_turn: Annotated[float, Ge(0), Le(1)]
+    silent_speed_m_s: Annotated[float, Ge(0), Le(20)]
     horizon_s: Annotated[float, Ge(1), Le(60)]
 
 

@@ -35,17 +35,17 @@ class RunOptions:
     """Timed commands; `STANDARD_INPUT` for standard input."""
     pair: str | None = None
     """The colour of the drone to pair with at the start."""
-    vehicle: Mapping[str, str] = field(default_factory=dict)
+    vehicles: Mapping[str, str] = field(default_factory=dict)
     """MAVLink address by colour; empty: the built-in simulated fleet."""
     scenario: Path | None = None
     """None: the shipped one."""
     config: tuple[Path, ...] = ()
-    set: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
     """`KEY=VALUE`, as `config.settings.load_settings` takes them."""
     operator: Geodetic | None = None
     """Where the operator stands; None: where the scenario says."""
-    takeoff: float | None = None
-    """Take off to this height (m) first."""
+    takeoff_m: float | None = None
+    """Take off to this height first."""
     apply_failsafe: bool = False
     """Set the required failsafe parameters before pairing."""
     record: Path | None = None

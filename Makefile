@@ -1,0 +1,62 @@
+# The front door. Needs python3 (3.11 or newer) and make; everything else is set up here, in .venv and .stamps.
+#   make demo    set up, fetch a voice model, fly the demonstration on the simulated fleet
+#   make test    set up, pass the tests         make soak    the long counts
+#   make check   style, types, floors           make bench   the figures, beside what they are compared with
+#   make lock    renew requirements.lock
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+BIN := .venv/bin
+# Voice models that somebody has put beside the project are used before any other.
+ifneq ($(wildcard ../shared/models),)
+export M3R_MODELS ?= $(abspath ../shared/models)
+endif
+
+.PHONY: help setup models demo test soak check bench lock clean
+
+help:
+	@sed -n '2,5s/^# *//p' Makefile
+
+setup: .stamps/installed
+
+.stamps/venv:
+	@sh scripts/make-venv.sh "$(PYTHON)"
+	@mkdir -p .stamps && touch $@
+
+.stamps/installed: .stamps/venv requirements.lock pyproject.toml
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.lock
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Not fatal: without a model the demonstration is flown from scripted buttons, and says so.
+models: setup
+	@$(BIN)/m3r models fetch || echo "No voice model: speech cannot be recognised until 'make models' succeeds."
+
+demo: models
+	@$(BIN)/m3r run --audio demo/requests.wav --pair red
+
+test: setup
+	@$(BIN)/python -m pytest
+
+soak: setup
+	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600
+
+check: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: models
+	@for bench in benchmarks/*.py; do echo "== $$bench"; $(BIN)/python "$$bench"; done
+
+lock: .stamps/venv
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
+		--python-version 3.11 --upgrade --group dev --group build --group bench --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv .stamps

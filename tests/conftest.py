@@ -1,0 +1,20 @@
+"""What all tests share: the long counts are asked for with M3R_SOAK=1."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import settings
+
+SOAK = os.environ.get("M3R_SOAK") == "1"
+
+settings.register_profile("sample", deadline=None, max_examples=100)
+settings.register_profile("soak", deadline=None, max_examples=5000)
+settings.load_profile("soak" if SOAK else "sample")
+
+
+@pytest.fixture(autouse=True)
+def _own_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test depends on how the person who runs it has set M3R up."""
+    monkeypatch.delenv("M3R_DEBUG", raising=False)
