@@ -78,11 +78,14 @@ def _dem(dataset: Any, path: Path, sigma_m: float, frame: LocalFrame) -> Terrain
     if (dataset.units[0] or "m").lower() not in ("m", "metre", "meter", "metres", "meters"):
         raise WorldError(f"DEM {path} gives heights in {dataset.units[0]}, but metres are needed")
 
+    to_pixel = ~dataset.transform
+
     def pixel(north_m: float, east_m: float) -> tuple[float, float]:
         """Row and column, of pixel centres, of a place in the local frame."""
         lat, lon, _ = frame.geodetic(Ned(north_m, east_m, 0.0))
         xs, ys = transform("EPSG:4326", dataset.crs, [lon], [lat])
-        column, row = ~dataset.transform * (xs[0], ys[0])
+        column = to_pixel.a * xs[0] + to_pixel.b * ys[0] + to_pixel.c
+        row = to_pixel.d * xs[0] + to_pixel.e * ys[0] + to_pixel.f
         return row - 0.5, column - 0.5
 
     origin = np.array(pixel(0.0, 0.0))

@@ -22,6 +22,7 @@ GPS_JUMP_M = 5.0
 DEAD_RECKONING_S = 5.0
 """This long after the GPS is gone the position counts as lost."""
 MOTOR_OUT_THRUST = 0.6
+GROUND_LOOKUP_M = 0.05
 FORCE = 21196
 """The magic number of MAV_CMD_COMPONENT_ARM_DISARM."""
 
@@ -116,7 +117,7 @@ class Autopilot:
         below = ground_down_m(drone.position.north, drone.position.east)
         self.origin = Ned(drone.position.north, drone.position.east, below)
         """Where its own local frame starts."""
-        self.home = self.origin
+        self.home = self._below = self.origin
         self.armed = drone.position.down < below - 0.1
         drone.motors_on, drone.landed = self.armed, not self.armed
         self.now_s = 0.0
@@ -429,7 +430,11 @@ class Autopilot:
         self._drain()
 
     def _ground_here(self) -> float:
-        return self._ground_down_m(self.drone.position.north, self.drone.position.east)
+        """The ground below, looked up anew every few centimetres."""
+        north, east, _ = self.drone.position
+        if abs(north - self._below[0]) + abs(east - self._below[1]) > GROUND_LOOKUP_M:
+            self._below = Ned(north, east, self._ground_down_m(north, east))
+        return self._below.down
 
     def _landing(self) -> None:
         if self.in_air:

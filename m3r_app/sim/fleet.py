@@ -64,7 +64,7 @@ class Fleet:
             self.traffic[name] = self._add(scenario, name, pilot, FIRST_TRAFFIC_ID + i, port)
             self._start_s[name] = SETTLE_S + traffic.start_delay_s
         for _ in range(round(SETTLE_S / TICK_S)):
-            self._step()
+            self.step()
         for name, start in scenario.vehicles.items():
             if start.state == "mission":
                 self.links[name].autopilot.change_mode(FlightMode.MISSION)
@@ -118,7 +118,8 @@ class Fleet:
         self.links[name] = VehicleLink(pilot, self.frame, system_id, (HOST, port), obeys)
         return f"udpin://{HOST}:{port}"
 
-    def _step(self) -> None:
+    def step(self) -> None:
+        """Fly TICK_S, in whatever time that takes."""
         for name, link in self.links.items():
             pilot = link.autopilot
             pilot.tick(self._winds[name].step(TICK_S))
@@ -128,7 +129,7 @@ class Fleet:
 
     def tick(self) -> None:
         """TICK_S more for everybody, then telemetry and the record of the truth."""
-        self._step()
+        self.step()
         for link in self.links.values():
             link.tick()
         if self._truth is not None:

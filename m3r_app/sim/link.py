@@ -48,6 +48,7 @@ _ON_REQUEST = {
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
 }
 _PARAMETERS_PER_TICK = 5
+_TANGENT_M = 5.0
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION, _IGNORE_YAW, _IGNORE_YAW_RATE = 7, 56, 448, 1024, 2048
 
 
@@ -76,6 +77,7 @@ class VehicleLink:
         self._to_list: list[tuple[str, Address]] = []
         self._mode_sent: tuple[FlightMode, bool] | None = None
         self._origin = frame.geodetic(autopilot.origin)
+        self._tangent: tuple[Ned, Geodetic, Geodetic, Geodetic] | None = None
 
     def close(self) -> None:
         self.socket.close()
@@ -127,6 +129,25 @@ class VehicleLink:
     @property
     def _boot_us(self) -> int:
         return int(self.autopilot.now_s * 1e6)
+
+    def _geodetic(self) -> Geodetic:
+        """The estimate as latitude, longitude, altitude.
+
+        The full conversion costs more than all else here, so it is made afresh every few metres; in between, straight
+        lines from there are off by micrometres.
+        """
+        here = self.autopilot.position
+        if self._tangent is None or here.minus(self._tangent[0]).norm > _TANGENT_M:
+            base, convert = here, self._frame.geodetic
+            steps = (convert(base.plus(Ned(1.0, 0.0, 0.0))), convert(base.plus(Ned(0.0, 1.0, 0.0))))
+            self._tangent = (base, convert(base), *steps)
+        base, place, to_north, to_east = self._tangent
+        north, east, down = here.minus(base)
+        return Geodetic(
+            place.lat_deg + north * (to_north.lat_deg - place.lat_deg) + east * (to_east.lat_deg - place.lat_deg),
+            place.lon_deg + north * (to_north.lon_deg - place.lon_deg) + east * (to_east.lon_deg - place.lon_deg),
+            place.amsl_m - down,
+        )
 
     def _local(self) -> Ned:
         # The frames of one fleet are parallel to a few micrometres over a few hundred metres.
@@ -195,14 +216,13 @@ class VehicleLink:
         speed = pilot.velocity.horizontal
         course = math.degrees(math.atan2(pilot.velocity.east, pilot.velocity.north)) % 360.0
         return mavlink.MAVLink_gps_raw_int_message(
-            self._boot_us, 3, *_scaled(self._frame.geodetic(pilot.position)), 80, 120, int(speed * 100),
+            self._boot_us, 3, *_scaled(self._geodetic()), 80, 120, int(speed * 100),
             int(course * 100), 16, 0, round(sigma_h * 1000), round(sigma_v * 1000), 100, 0,
         )  # fmt: skip
 
     def _global_position(self) -> Message:
         pilot = self.autopilot
-        place = self._frame.geodetic(pilot.position)
-        lat, lon, alt = _scaled(place)
+        lat, lon, alt = _scaled(self._geodetic())
         above_home = round((pilot.home.down - pilot.position.down) * 1000)
         velocity = (round(v * 100) for v in pilot.velocity)
         heading = round(pilot.drone.yaw_deg % 360.0 * 100) % 36000
