@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from safety.separation import capsules_meet
 from safety.vocabulary import ReservedVolume
+from safety.volumes import volumes_meet
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class LocalAirspace:
         """The grant, or one sentence that says who is in the way."""
         self._expire(now_s)
         for held in self._grants.values():
-            if held.volume.holder != volume.holder and capsules_meet(held.volume, volume):
+            if held.volume.holder != volume.holder and volumes_meet(held.volume, volume):
                 return f"{held.volume.holder} holds it for another {held.volume.until_s - now_s:.1f} s"
         self._fence += 1
         grant = Grant(lease_id, volume, self._fence)

@@ -17,7 +17,7 @@ from typing import Any
 
 from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
-from m3r_app.events import ArbiterState, Ended, PairingAnswered, Policy, Tally
+from m3r_app.events import ArbiterState, Ended, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
 from m3r_app.guard import Guard
 from m3r_app.inputs import Inputs, open_inputs
@@ -29,7 +29,6 @@ from m3r_app.preparation import Setting, prepare
 from m3r_app.recorder import Recorder
 from m3r_app.shell import Recording, Shell, request_event
 from m3r_app.vehicle import VehicleError
-from safety.vocabulary import Command, ManeuverRequest, Modality
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
 """Exit statuses of the contract; the highest that applies."""
@@ -185,6 +184,7 @@ class _Run:
             links = simulated.links
         fleet = await Fleet.connect(links, self.clock, setting.settings.pairing.answer_s)
         stack.push_async_callback(fleet.close)
+        await fleet.ready(setting.settings.pairing.answer_s)
         return fleet
 
     def _shell(self, setting: Setting, fleet: Fleet, guard: Guard) -> Shell:
@@ -256,11 +256,7 @@ class _Run:
     async def _play(self, shell: Shell, inputs: Inputs) -> None:
         """Pair if asked to, play what was recorded, wait until the drone rests."""
         if self.options.pair is not None:
-            now_s = self.clock()
-            request = ManeuverRequest(
-                "pair", Command.ACTIVATE, Modality.PANEL, 1.0, now_s, now_s, "--pair", self.options.pair
-            )
-            shell.inbox.put(request_event(request))
+            shell.inbox.put(PairingAsked(self.options.pair))
             await self._until(shell, lambda: shell.state.state is not State.IDLE)
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
             if shell.state.session is None:

@@ -26,6 +26,7 @@ from m3r_app.events import (
     NeighboursHeard,
     Pair,
     PairingAnswered,
+    PairingAsked,
     Release,
     Report,
     Requested,
@@ -42,7 +43,8 @@ from safety.frames import bearing_deg, enu, wrap_deg
 from safety.monitor import Breach, watch
 from safety.planner import plan_return
 from safety.situation import Situation
-from safety.supervisor import Intent, assess, decide, decide_plan, interpret, swept_volume
+from safety.supervisor import Intent, assess, decide, decide_plan, interpret
+from safety.volumes import swept_volume
 from safety.vocabulary import (
     PRIMITIVE_OF,
     Anchor,
@@ -59,7 +61,10 @@ from safety.vocabulary import (
 
 REST_M_S = 0.1
 """Slower than this, motion has stopped (design 2)."""
-ARRIVED_M = 0.3
+ARRIVED_M = 0.1
+CLOSE_ENOUGH_M = 0.3
+"""In wind a drone may rest this far off; it has arrived if it has come no nearer for LINGER_S."""
+LINGER_S = 2.0
 FACING_TOLERANCE_DEG = 5.0
 FACING_TIMEOUT_S = 20.0
 RESERVATION_TIMEOUT_S = 1.0
@@ -79,6 +84,8 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
     match event:
         case Requested():
             run.requested(event)
+        case PairingAsked():
+            run.activate(event.colour)
         case PairingAnswered():
             run.pairing_answered(event)
         case TelemetryArrived():
@@ -184,7 +191,7 @@ class _Step:
             case Command.STOP:
                 self.stop()
             case Command.ACTIVATE:
-                self.activate(request)
+                self.activate(request.colour or "")
             case Command.DISCONNECT:
                 self.disconnect(request)
             case _ if self.state.session is None or self.state.session.anchor is None:
@@ -213,8 +220,7 @@ class _Step:
             self.settle(Cause.STOP)
         self.tell("holding")
 
-    def activate(self, request: ManeuverRequest) -> None:
-        colour = request.colour or ""
+    def activate(self, colour: str) -> None:
         if self.can(Cause.PAIR_REQUESTED):
             self.go(Cause.PAIR_REQUESTED)
             self.do(Pair(colour))
@@ -582,7 +588,9 @@ class _Step:
         elapsed_s = self.now_s - flight.started_at_s
         plan = flight.plan
         facing = abs(wrap_deg(vehicle.yaw_deg - plan.yaw_deg(plan.duration_s))) <= FACING_TOLERANCE_DEG
-        arrived = vehicle.position.minus(plan.goal).norm <= ARRIVED_M
+        off_m = vehicle.position.minus(plan.goal).norm
+        lingers = elapsed_s >= plan.duration_s + LINGER_S and off_m <= CLOSE_ENOUGH_M
+        arrived = off_m <= ARRIVED_M or lingers
         if elapsed_s >= plan.duration_s and arrived and facing and self.state.speed_m_s < REST_M_S:
             self.complete(vehicle, flight)
 

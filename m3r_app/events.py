@@ -37,6 +37,13 @@ class Requested:
 
 
 @dataclass(frozen=True, slots=True)
+class PairingAsked:
+    """The command line (not a modality) asks to pair."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
 class PairingAnswered:
     """The shell's checks before pairing are done. reasons empty: accepted, and authority is ours. Source: X8."""
 
@@ -89,7 +96,17 @@ class Ended:
     reason: str
 
 
-Event = Requested | PairingAnswered | TelemetryArrived | NeighboursHeard | ReservationAnswered | Stalled | Tick | Ended
+Event = (
+    Requested
+    | PairingAsked
+    | PairingAnswered
+    | TelemetryArrived
+    | NeighboursHeard
+    | ReservationAnswered
+    | Stalled
+    | Tick
+    | Ended
+)
 
 # ---------------------------------------------------------------- effects
 

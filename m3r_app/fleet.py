@@ -112,6 +112,12 @@ class Fleet:
         others = {name: v for name, v in connected.items() if name in links.others}
         return cls(vehicles, others, complete=links.complete)
 
+    async def ready(self, timeout_s: float) -> None:
+        """Wait until everybody has told where they are. Raises VehicleError naming who has not."""
+        everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())
+        heard = "a first report of its position"
+        await asyncio.gather(*(v.wait_for(lambda t: t.geodetic is not None, timeout_s, heard) for v in everybody))
+
     async def close(self) -> None:
         """End all links."""
         everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())

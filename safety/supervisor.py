@@ -17,10 +17,8 @@ from safety.vocabulary import (
     Decision,
     Finding,
     ManeuverRequest,
-    Ned,
     Plan,
     Primitive,
-    ReservedVolume,
     Verdict,
 )
 
@@ -211,14 +209,6 @@ def slower(
         if safe(assess(plan, request, scene, limits, rules)):
             return slowness
     return None
-
-
-def swept_volume(plan: Plan, holder: str, sigma_m: float, now_s: float, limits: Limits) -> ReservedVolume:
-    """The capsule to reserve for a plan: everywhere the drone may be while it flies it. Source: X10, X11."""
-    end = plan.goal
-    beyond = Ned(*(e + d * plan.stop_m for e, d in zip(end, plan.direction, strict=True)))
-    radius_m = limits.tracking_m + limits.sigma_k * sigma_m + 0.5 * limits.separation_m
-    return ReservedVolume(holder, plan.start, beyond, radius_m, now_s, now_s + plan.max_duration_s)
 
 
 def _metres(intent: Intent) -> float | None:
