@@ -1,4 +1,4 @@
-# The front door. Needs python3 (3.11 or newer) and make; everything else is set up here, in .venv and .stamps.
+# The front door. Needs python3 (3.11 or newer) and make; everything else is set up here, in .venv.
 #   make demo    set up, fetch a voice model, fly the demonstration on the simulated fleet
 #   make test    set up, pass the tests         make soak    the long counts
 #   make check   style, types, floors           make bench   the figures, beside what they are compared with
@@ -13,7 +13,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 # Voice models that somebody has put beside the project are used before any other.
 ifneq ($(wildcard ../shared/models),)
-export M3R_MODELS ?= $(abspath ../shared/models)
+export M3R_MODELS ?= $(CURDIR)/../shared/models
 endif
 
 .PHONY: help setup models demo test soak check bench lock clean
@@ -21,13 +21,13 @@ endif
 help:
 	@sed -n '2,5s/^# *//p' Makefile
 
-setup: .stamps/installed
+setup: .venv/stamp-installed
 
-.stamps/venv:
+.venv/stamp-made:
 	@sh scripts/make-venv.sh "$(PYTHON)"
-	@mkdir -p .stamps && touch $@
+	@touch $@
 
-.stamps/installed: .stamps/venv requirements.lock pyproject.toml
+.venv/stamp-installed: .venv/stamp-made requirements.lock pyproject.toml
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.lock
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
@@ -54,9 +54,9 @@ check: setup
 bench: models
 	@for bench in benchmarks/*.py; do echo "== $$bench"; $(BIN)/python "$$bench"; done
 
-lock: .stamps/venv
+lock: .venv/stamp-made
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
 		--python-version 3.11 --upgrade --group dev --group build --group bench --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv .stamps
+	rm -rf .venv
