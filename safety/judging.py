@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -61,7 +62,8 @@ def judge(
     lowest = float(margins_m.min())
     if between_m is not None and between_m.size:
         lowest = min(lowest, float(between_m.min()))
-    if not math.isfinite(lowest):
+    # One sample that is no number spoils the whole, even if it would be far away.
+    if not math.isfinite(lowest + float(margins_m.sum())):
         return Finding(constraint, requirements, None, "m", False, unknown)
     if lowest >= -EPSILON:
         lowest = max(lowest, 0.0)
@@ -74,8 +76,14 @@ def judge(
 
 
 def worst(findings: Sequence[Finding]) -> Finding:
-    """Of several findings of one constraint the one to report: unknown before failed before the smallest margin."""
-    return min(findings, key=lambda f: (f.passed, f.margin is not None, f.margin if f.margin is not None else 0.0))
+    """Of several findings of one constraint the sentence of the worst failure, or of the smallest margin if none fails.
+
+    The margin is the smallest of all, so that it is continuous even where one of them mends and another fails (X13).
+    """
+    told = min(findings, key=lambda f: (f.passed, f.margin is not None, f.margin if f.margin is not None else 0.0))
+    if told.margin is None:
+        return told
+    return replace(told, margin=min(f.margin for f in findings if f.margin is not None))
 
 
 def refused(constraint: str, requirements: tuple[str, ...], unit: str, text: str) -> Finding:

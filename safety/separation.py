@@ -45,11 +45,12 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     required = required + path.slack_m
     least = np.sqrt(np.maximum(nearest, 0.0)) - required
     lowest = least.min(axis=0)
-    # argmin takes a margin that is no number for the lowest.
-    k = int(lowest.argmin())
-    if not math.isfinite(lowest[k]):
+    known = np.isfinite(squares.sum(axis=0) + lowest)
+    if not known.all():
+        k = int(known.argmin())
         text = f"separation from {neighbours.names[k]} cannot be judged: its state or ours is incomplete"
         return refused(name, requirements, "m", text)
+    k = int(lowest.argmin())
     if lowest[k] >= -EPSILON:
         margin = max(float(lowest[k]), 0.0)
         return Finding(name, requirements, margin, "m", True, f"{neighbours.names[k]}: {amount(margin)} to spare")
@@ -59,12 +60,12 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     mending &= (margins[1:-1] >= margins[:-2] - EPSILON).all(axis=0)
     failing = (lowest < -EPSILON) & ~mending
     passed = not failing.any()
-    if not passed:
-        k = int(np.where(failing, lowest, np.inf).argmin())
-    margin, text = float(lowest[k]), f"{amount(lowest[k])} too close to {neighbours.names[k]}"
+    # The margin is the smallest of all, the sentence is about the worst that fails.
+    told = k if passed else int(np.where(failing, lowest, np.inf).argmin())
+    text = f"{amount(float(lowest[told]))} too close to {neighbours.names[told]}"
     if passed:
         text += " already, and this does not make it worse"
-    return Finding(name, requirements, margin, "m", passed, text)
+    return Finding(name, requirements, float(lowest[k]), "m", passed, text)
 
 
 def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:

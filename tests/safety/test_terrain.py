@@ -44,7 +44,10 @@ def sampled(terrain: Terrain, pieces: int = 40) -> Floats:
         for j in range(cols - 1):
             for others in (((1, 0), (1, 1)), ((1, 1), (0, 1))):
                 corners = [
-                    (*(np.array(terrain.corner_ne_m) + steps @ (i + di, j + dj)), terrain.heights_amsl_m[i + di, j + dj])
+                    (
+                        *(np.array(terrain.corner_ne_m) + steps @ (i + di, j + dj)),
+                        terrain.heights_amsl_m[i + di, j + dj],
+                    )
                     for di, dj in ((0, 0), *others)
                 ]
                 p, q, r = (np.array((n, e, terrain.origin_amsl_m - h)) for n, e, h in corners)
@@ -83,8 +86,9 @@ def test_height_is_linear_between_the_corners_of_each_triangle(
     points = points[terrain.unknown_m(points, reach_m=5.0) > 1e-6]
     assert len(points) > 500
     np.testing.assert_allclose(terrain.agl_m(points), 0.0, atol=1e-9)
-    np.testing.assert_allclose(terrain.agl_m(points - (0.0, 0.0, 2.5)), 2.5, atol=1e-9)
-    np.testing.assert_allclose(terrain.agl_m(points + (0.0, 0.0, 2.5)), -2.5, atol=1e-9)
+    up = np.array((0.0, 0.0, 2.5))
+    np.testing.assert_allclose(terrain.agl_m(points - up), 2.5, atol=1e-9)
+    np.testing.assert_allclose(terrain.agl_m(points + up), -2.5, atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
