@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -45,7 +46,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Any:
             taken.append(options)
             return 0
 
-        monkeypatch.setattr("m3r_app.app.run", run)
+        app = ModuleType("m3r_app.app")
+        app.run = run
+        monkeypatch.setitem(sys.modules, "m3r_app.app", app)
         assert cli.main(["run", *words]) == 0
         return taken[0]
 
