@@ -28,10 +28,11 @@ class HeadlessPrinter:
         """Print one event. If nobody reads any more, hang up: the app holds the drone and ends."""
         if self._gone:
             return
+        text = line(event)
         try:
-            self._out.write(line(event))
+            self._out.write(text)
             self._out.flush()
-        except (BrokenPipeError, ValueError):
+        except (OSError, ValueError):  # ValueError: it has been closed
             self._gone = True
             _discard(self._out)
             hang_up()
