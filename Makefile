@@ -32,12 +32,17 @@ setup: .venv/stamp-installed
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Not fatal: without a model the demonstration is flown from scripted buttons, and says so.
+# Not fatal: everything but speech works without a model.
 models: setup
 	@$(BIN)/m3r models fetch || echo "No voice model: speech cannot be recognised until 'make models' succeeds."
 
-demo: models
-	@$(BIN)/m3r run --audio demo/requests.wav --pair red
+demo: setup
+	@if $(BIN)/m3r models fetch; then \
+		$(BIN)/m3r run --pair red --audio demo/requests.wav; \
+	else \
+		echo "No voice model can be had, so the same story is flown from scripted buttons."; \
+		$(BIN)/m3r run --pair red --script demo/requests.txt; \
+	fi
 
 test: setup
 	@$(BIN)/python -m pytest

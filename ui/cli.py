@@ -126,7 +126,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     options, unknown = parser.parse_known_args(_joined(arguments))
     if unknown:
         chosen: _Parser = options.parser
-        known = [option for action in chosen._actions for option in action.option_strings]  # noqa: SLF001  (no public list)
+        known = [option for action in chosen._actions for option in action.option_strings]
         word = unknown[0].partition("=")[0]
         close = difflib.get_close_matches(word, known, n=1)
         hint = f"; did you mean {close[0]}?" if close else f"; {chosen.prog} --help lists what there is"
