@@ -10,6 +10,7 @@ link: PX4 may refuse to arm for what calls itself a companion computer (X3, X6).
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
 import threading
@@ -169,13 +170,15 @@ class Vehicle:
     async def wait_ready(self, timeout_s: float = 10.0) -> Telemetry:
         """Wait until position, attitude, flight mode and health have been heard, and a little for health to be good.
 
-        Health that stays bad is returned, not raised: its reasons are for whoever pairs (X8).
+        Health that stays bad is returned, not raised: its reasons are for whoever pairs (X8). Raises VehicleError, also
+        where a second vehicle answers on the same link.
         """
         await self.wait_for(
             lambda t: math.isfinite(t.at_s) and t.flight_mode != UNKNOWN_MODE and t.unhealthy != NO_HEALTH,
             timeout_s,
             "a first report of position, attitude, flight mode and health",
         )
+        self._check_alone()
         with suppress(VehicleError):
             await self.wait_for(lambda t: t.healthy, HEALTH_WAIT_S, "good health")
         return self.telemetry()
@@ -295,13 +298,23 @@ class Vehicle:
 
     # Inside
 
+    def _check_alone(self) -> None:
+        """Two vehicles on one link could be taken for each other. Raises VehicleError."""
+        if sum(system.has_autopilot() for system in self._mavsdk.get_systems()) > 1:
+            raise VehicleError(
+                f"{self.colour}: more than one vehicle answers on {self.url}: give each a port of its own."
+            )
+
     async def _command(self, what: str, send: Callable[[Callable[[Any, Any], None]], None]) -> None:
         """Send a command with MAVSDK's own callback and wait for its result."""
         if self._closed:
             raise VehicleError(f"{self.colour}: {what} was asked for after the link was closed.")
         asked_at_s = self._clock()
         answered: asyncio.Future[Any] = self._loop.create_future()
-        send(lambda result, _: _post(self._loop, _settle, answered, result))
+        try:
+            send(lambda result, _: _post(self._loop, _settle, answered, result))
+        except RuntimeError as error:
+            raise VehicleError(f"{self.colour}: {what} could not be sent ({error}).") from None
         try:
             result = await asyncio.wait_for(answered, COMMAND_TIMEOUT_S)
         except TimeoutError:
@@ -356,8 +369,12 @@ _LEVELS = {
 }
 
 
+@functools.cache
 def _redirect_log() -> None:
-    """MAVSDK prints to standard output, which is not ours to litter: send its messages to logging instead."""
+    """MAVSDK prints to standard output, which is not ours to litter: send its messages to logging instead.
+
+    Once only: replacing the handler would free the old one while another link's thread may be in it.
+    """
 
     def to_logging(level: LogLevel, message: str, file: str | None, line: int) -> bool:
         log.log(_LEVELS[level], "%s (%s:%s)", message, file, line)

@@ -26,6 +26,7 @@ class StandIn:
     """Sends telemetry to 127.0.0.1:port from a thread until closed; obeys setpoints at once when in Offboard."""
 
     port: int
+    system_id: int = 7
     north_m: float = 1.0
     east_m: float = 2.0
     down_m: float = -10.0
@@ -49,7 +50,9 @@ class StandIn:
     """(system, component, type) of whoever sent a heartbeat."""
 
     def __post_init__(self) -> None:
-        self._link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1)
+        self._link = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{self.port}", source_system=self.system_id, source_component=1
+        )
         self._mav = self._link.mav
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

@@ -140,7 +140,7 @@ def test_a_held_interpreter_is_killed_by_the_process_and_the_operator_is_told() 
         stuck.hear("stuck")
         began_s = time.monotonic()
         assert stuck.ended_within(2.0) == -signal.SIGKILL
-        assert KILL_AFTER_S * 0.8 <= time.monotonic() - began_s < 1.0
+        assert KILL_AFTER_S * 0.8 <= time.monotonic() - began_s < 1.5
         assert stuck.process.stderr is not None
         assert "did not respond" in stuck.process.stderr.read()
 
@@ -231,6 +231,17 @@ def test_a_hold_that_fails_is_tried_again_and_reported_once(guarded: tuple[Guard
     assert done.wait(3.0)
     assert eventually(lambda: len(reports) == 2)
     assert "no answer" in reports[0] and "commanded Hold" in reports[1]
+
+
+def test_a_stall_that_ended_just_now_is_held_all_the_same_but_not_once_authority_is_gone() -> None:
+    guard = Guard(lambda _: None)
+    held: list[float] = []
+    guard.arm(held.append)  # the loop is back and has armed anew before Hold was on its way
+    guard._command_hold(held.append, 0.8)
+    assert len(held) == 1
+    guard.disarm()
+    guard._command_hold(held.append, 0.8)
+    assert len(held) == 1
 
 
 def test_a_listener_that_raises_does_not_take_the_guard_down() -> None:

@@ -82,7 +82,7 @@ def test_telemetry_arrives_complete_true_and_fresh_fifty_times_a_second(fleet: F
             assert 1.6 < time.monotonic() - began_s < 3.0, "50 Hz"
             ages_s = sorted(telemetry.age_s(now_s) for now_s, telemetry in heard)
             assert ages_s[len(ages_s) // 2] < 0.03
-            assert ages_s[-1] < 0.3
+            assert ages_s[len(ages_s) * 9 // 10] < 0.3
 
             latest = heard[-1][1]
             start = LocalFrame(Geodetic(46.9480, 7.4474, 540.0)).geodetic(Ned(14.0, 0.0, -6.0))
@@ -368,7 +368,9 @@ def test_the_worse_of_estimator_and_receiver_is_believed_and_neither_is_unknown(
     with_stand_in(test)
 
 
-def test_what_is_not_healthy_is_named_and_prevents_a_takeoff() -> None:
+def test_what_is_not_healthy_is_named_and_prevents_a_takeoff(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("m3r_app.vehicle.HEALTH_WAIT_S", 0.5)
+
     async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()
         assert not telemetry.healthy and telemetry.unhealthy == ("magnetometer",)
@@ -468,6 +470,20 @@ def test_two_vehicles_of_ours_cannot_share_a_port() -> None:
             await Vehicle.connect("green", vehicle.url, time.monotonic, 1.0)
 
     with_stand_in(test)
+
+
+def test_two_vehicles_on_one_link_are_refused_for_one_might_be_taken_for_the_other() -> None:
+    async def run() -> None:
+        port = free_ports(1)
+        with StandIn(port, system_id=1), StandIn(port, system_id=2):
+            vehicle = await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
+            try:
+                with pytest.raises(VehicleError, match="red: more than one vehicle answers"):
+                    await vehicle.wait_ready()
+            finally:
+                await vehicle.close()
+
+    asyncio.run(run())
 
 
 @pytest.mark.parametrize("url", ["nonsense", "udp://:14540", "serial:///dev/does-not-exist:57600"])
