@@ -188,9 +188,9 @@ def load_settings(files: Sequence[Path] = (), overrides: Sequence[str] = ()) -> 
 
 
 def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted key, value) of everything in a nested mapping that is not a section itself."""
+    """(dotted key, value) of everything in a nested mapping that is not a section itself, unless an empty one."""
     for name, value in tree.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             yield from leaves(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
@@ -205,6 +205,8 @@ def _of_file(path: Path, known: Iterable[str]) -> dict[str, _Given]:
         raise SettingsError(f"settings file {path} is not TOML: {' '.join(str(error).split())}") from None
     found = {}
     for key, value in leaves(tree):
+        if value == {} and any(name.startswith(f"{key}.") for name in known):
+            continue  # an empty section changes nothing
         _check_known(key, str(path), known)
         found[key] = _Given(value, str(path))
     return found

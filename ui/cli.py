@@ -247,17 +247,10 @@ def _run_run(options: argparse.Namespace) -> int:
     import asyncio
 
     from m3r_app.app import run
-    from ui.headless import HeadlessPrinter
-    from ui.narrator import Narrator
+    from ui.output import Output
 
-    printer, narrator = HeadlessPrinter(), Narrator(sys.stderr if asked.headless else sys.stdout)
-
-    def emit(event: dict[str, Any]) -> None:
-        if asked.headless:
-            printer(event)
-        narrator(event)
-
-    return asyncio.run(run(asked, emit))
+    with Output(headless=asked.headless) as output:
+        return asyncio.run(run(asked, output.emit))
 
 
 def _run_sim(options: argparse.Namespace) -> int:

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-class Narrator:
-    """Prints what is worth telling, one line each, with the seconds since the start."""
-
-    def __init__(self, out: IO[str] | None = None) -> None:
-        self._out = sys.stderr if out is None else out
-
-    def __call__(self, event: Mapping[str, Any]) -> None:
-        """Print the event's sentence, if it has one. A terminal that is gone is not worth a flight: ignored."""
-        text = sentence(event)
-        if text is None:
-            return
-        try:
-            print(f"{event['t']:7.2f} s  {text}", file=self._out, flush=True)
-        except (OSError, ValueError):
-            return
+def narrated(event: Mapping[str, Any]) -> str | None:
+    """The event's sentence after the seconds since the start; None where there is nothing to tell."""
+    text = sentence(event)
+    return None if text is None else f"{event['t']:7.2f} s  {text}"
 
 
 def sentence(event: Mapping[str, Any]) -> str | None:

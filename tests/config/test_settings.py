@@ -153,6 +153,10 @@ def test_later_wins(tmp_path: Path) -> None:
         (b"[envelope]\nspeed_m_s = 9\n", "setting envelope.speed_m_s is 9"),
         (b"[envelope]\nsped_m_s = 1\n", "did you mean envelope.speed_m_s?"),
         (b"envelope = 1\n", "is a section"),
+        (b"[[envelope]]\nspeed_m_s = 1\n", "is a section"),
+        (b"[envelop]\n", "there is no setting envelop"),
+        (b"[terrain]\n", "setting terrain is {}"),
+        (b"[envelope.speed_m_s]\nfast = 1\n", "there is no setting envelope.speed_m_s.fast"),
         (b"[terrain]\nclearance_m = 2\n", "did you mean clearance.clearance_m?"),
         (b"speed = [", "is not TOML"),
         (b"\xff\xfe", "is not TOML"),
@@ -165,6 +169,12 @@ def test_a_wrong_file_is_named(tmp_path: Path, text: bytes, said: str) -> None:
     sentence = refusal(files=(path,))
     assert str(path) in sentence
     assert said in sentence
+
+
+def test_an_empty_section_changes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "empty.toml"
+    path.write_text("[envelope]\n")
+    assert load_settings([path]) == load_settings()
 
 
 def test_missing_file_and_folder_are_named(tmp_path: Path) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
-import math
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,8 +17,6 @@ from m3r_app.options import RunOptions
 from m3r_app.recorder import RecordError
 from safety.vocabulary import Geodetic, Mode
 from ui import cli
-from ui.headless import HeadlessPrinter, line
-from ui.narrator import sentence
 
 
 def m3r(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -275,69 +270,3 @@ def test_options_are_understood_without_the_heavy_imports() -> None:
     code = "import sys, ui.cli; print([m for m in ('mavsdk', 'vosk', 'rasterio', 'shapely') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout == "[]\n"
-
-
-def test_lines_are_strict_json() -> None:
-    event = {"margin": math.nan, "event": "mode", "list": [math.inf, -1e-12], "mode": Mode.ARMED, "t": 1.23456789012}
-    text = line(event)
-    assert text.startswith('{"t": 1.234567')
-    assert text.endswith("\n")
-    assert text.count("\n") == 1
-    assert json.loads(text) == {
-        "t": 1.2345679,
-        "event": "mode",
-        "margin": None,
-        "list": [None, 0.0],
-        "mode": "ManeuverResponseArmed",
-    }
-    assert "-0.0" not in text
-
-
-def test_text_cannot_break_a_line() -> None:
-    text = line({"t": 0, "event": "announce", "text": "two\nlines \u2028 é \ud800"})
-    assert text.count("\n") == 1
-    assert text.isascii()
-
-
-class Gone(io.StringIO):
-    def flush(self) -> None:
-        raise BrokenPipeError
-
-
-def test_a_reader_that_is_gone_hangs_up_once() -> None:
-    calls: list[int] = []
-    before = signal.signal(signal.SIGHUP, lambda number, _frame: calls.append(number))
-    try:
-        printer = HeadlessPrinter(Gone())
-        printer({"t": 0, "event": "mode"})
-        printer({"t": 1, "event": "mode"})
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    assert calls == [signal.SIGHUP]
-
-
-def test_hanging_up_that_is_ignored_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        HeadlessPrinter(Gone())({"t": 0, "event": "mode"})
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.parametrize(
-    ("event", "said"),
-    [
-        ({"event": "announce", "text": "moved 1 m left"}, "moved 1 m left"),
-        (
-            {"event": "request", "modality": "voice", "evidence": "go left", "command": "go_left", "confidence": 0.934},
-            '> voice "go left": go_left (confidence 0.93)',
-        ),
-        (
-            {"event": "violation", "kind": "predicted", "requirements": ["R9", "X1"], "action": "hold"},
-            "! predicted violation of R9, X1: hold",
-        ),
-        ({"event": "mode", "mode": "Blocked"}, None),
-    ],
-)
-def test_what_a_person_reads(event: dict[str, Any], said: str | None) -> None:
-    assert sentence(event) == said

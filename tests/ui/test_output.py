@@ -1,0 +1,161 @@
+"""What a run prints: strict JSON, plain sentences, and no reader that can stop the flight."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import select
+import signal
+import threading
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from safety.vocabulary import Mode
+from ui import output as output_module
+from ui.headless import line
+from ui.narrator import sentence
+from ui.output import Output
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+EVENT = {"t": 1.5, "event": "announce", "text": "moved 1 m left"}
+
+
+@pytest.fixture
+def hang_ups() -> Iterator[list[int]]:
+    """The SIGHUPs that came, taken as the app takes them."""
+    calls: list[int] = []
+    before = signal.signal(signal.SIGHUP, lambda number, _frame: calls.append(number))
+    yield calls
+    signal.signal(signal.SIGHUP, before)
+
+
+def drained(descriptor: int) -> str:
+    """All that is in the pipe, whose writing end is closed."""
+    with os.fdopen(descriptor) as file:
+        return file.read()
+
+
+def test_lines_are_strict_json() -> None:
+    event = {"margin": math.nan, "event": "mode", "list": [math.inf, -1e-12], "mode": Mode.ARMED, "t": 1.23456789012}
+    text = line(event)
+    assert text.startswith('{"t": 1.2345679, "event": "mode", ')
+    assert json.loads(text) == {
+        "t": 1.2345679,
+        "event": "mode",
+        "margin": None,
+        "list": [None, 0.0],
+        "mode": "ManeuverResponseArmed",
+    }
+    assert "-0.0" not in text
+
+
+def test_text_cannot_break_a_line() -> None:
+    text = line({"t": 0, "event": "announce", "text": "two\nlines \u2028 \u00e9 \ud800"})
+    assert text.isascii()
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("event", "said"),
+    [
+        (EVENT, "moved 1 m left"),
+        (
+            {"event": "request", "modality": "voice", "evidence": "go left", "command": "go_left", "confidence": 0.934},
+            '> voice "go left": go_left (confidence 0.93)',
+        ),
+        (
+            {"event": "request", "modality": "panel", "evidence": "", "command": "stop", "confidence": 1.0},
+            "> panel: stop (confidence 1.00)",
+        ),
+        (
+            {"event": "violation", "kind": "predicted", "requirements": ["R9", "X1"], "action": "hold"},
+            "! predicted violation of R9, X1: hold",
+        ),
+        ({"event": "mode", "mode": "Blocked"}, None),
+    ],
+)
+def test_what_a_person_reads(event: dict[str, Any], said: str | None) -> None:
+    assert sentence(event) == said
+
+
+@pytest.mark.parametrize("headless", [True, False])
+def test_where_it_goes(headless: bool) -> None:
+    out_r, out_w = os.pipe()
+    err_r, err_w = os.pipe()
+    with Output(headless=headless, out=out_w, err=err_w) as output:
+        output.emit(EVENT)
+        output.emit({"t": 2, "event": "mode", "mode": Mode.BLOCKED})
+    os.close(out_w)
+    os.close(err_w)
+    out, err = drained(out_r), drained(err_r)
+    told = "   1.50 s  moved 1 m left\n"
+    if headless:
+        assert [json.loads(text)["event"] for text in out.splitlines()] == ["announce", "mode"]
+        assert err == told
+    else:
+        assert (out, err) == (told, "")
+
+
+def test_a_line_is_out_at_once() -> None:
+    out_r, out_w = os.pipe()
+    with Output(headless=True, out=out_w, err=out_w) as output:
+        output.emit(EVENT)
+        assert select.select([out_r], [], [], 20)[0] == [out_r]
+    os.close(out_w)
+    os.close(out_r)
+
+
+def test_a_reader_that_does_not_read_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output_module, "CLOSE_S", 0.1)
+    out_r, out_w = os.pipe()
+    with Output(headless=True, out=out_w, err=out_w) as output:
+        for i in range(5000):  # far more than a pipe holds
+            output.emit({**EVENT, "t": i})
+        stuck = next(thread for thread in threading.enumerate() if thread.name == "m3r-output")
+    assert stuck.is_alive()
+    reader = os.fdopen(out_r)
+    numbers = [json.loads(text)["t"] for text in (reader.readline() for _ in range(10_000)) if text.startswith("{")]
+    stuck.join(20)
+    assert not stuck.is_alive()
+    assert numbers == list(range(5000))  # late, not lost
+    reader.close()
+    os.close(out_w)
+
+
+def test_a_reader_that_is_gone_hangs_up_once(hang_ups: list[int]) -> None:
+    out_r, out_w = os.pipe()
+    err_r, err_w = os.pipe()
+    os.close(out_r)
+    with Output(headless=True, out=out_w, err=err_w) as output:
+        for _ in range(3):
+            output.emit(EVENT)
+    os.close(out_w)
+    os.close(err_w)
+    assert hang_ups == [signal.SIGHUP]
+    assert drained(err_r).count("\n") == 3  # sentences still go where somebody reads
+
+
+def test_missing_sentences_are_no_reason_to_end(hang_ups: list[int]) -> None:
+    out_r, out_w = os.pipe()
+    err_r, err_w = os.pipe()
+    os.close(err_r)
+    with Output(headless=True, out=out_w, err=err_w) as output:
+        output.emit(EVENT)
+        output.emit(EVENT)
+    os.close(out_w)
+    os.close(err_w)
+    assert drained(out_r).count("\n") == 2
+    assert hang_ups == []
+
+
+@pytest.mark.parametrize("handler", [signal.SIG_IGN, signal.SIG_DFL])
+def test_nobody_to_hang_up_to(handler: signal.Handlers) -> None:
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        output_module.hang_up()  # with SIG_DFL a signal would end the tests
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,0 +1,74 @@
+"""Where the events of a run go: JSON lines or sentences, written on a thread of its own.
+
+Whoever reads our output may be slow, stuck or gone, and that may not reach the control loop: `emit` only queues.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+import threading
+from typing import TYPE_CHECKING, Any, Self
+
+from ui.headless import line
+from ui.narrator import narrated
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+STANDARD_OUTPUT, STANDARD_ERROR = 1, 2
+CLOSE_S = 5.0
+"""How long the end of a run waits for a reader that does not read."""
+
+
+class Output:
+    """Writes events as they happen; headless: JSON to `out` and sentences to `err`, else sentences to `out`."""
+
+    def __init__(self, *, headless: bool, out: int = STANDARD_OUTPUT, err: int = STANDARD_ERROR) -> None:
+        """out, err: file descriptors, written to without a buffer so that every line is out at once."""
+        self._headless = headless
+        self._out = out
+        self._err = err
+        self._gone: set[int] = set()
+        self._queue: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="m3r-output", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._queue.put(None)
+        self._thread.join(CLOSE_S)
+
+    def emit(self, event: Mapping[str, Any]) -> None:
+        """Queue one event, which may not be changed afterwards. Never blocks."""
+        self._queue.put(event)
+
+    def _run(self) -> None:
+        while (event := self._queue.get()) is not None:
+            if self._headless:
+                self._write(self._out, line(event))
+            text = narrated(event)
+            if text is not None:
+                self._write(self._err if self._headless else self._out, text)
+
+    def _write(self, descriptor: int, text: str) -> None:
+        """One line. If nobody reads `out` any more, hang up: the app holds the drone and ends."""
+        if descriptor in self._gone:
+            return
+        data = f"{text}\n".encode(errors="backslashreplace")
+        try:
+            while data:
+                data = data[os.write(descriptor, data) :]
+        except OSError:
+            self._gone.add(descriptor)
+            if descriptor == self._out:
+                hang_up()
+
+
+def hang_up() -> None:
+    """Tell the app, as a closed terminal would, that its operator is gone; nothing where nobody waits for that."""
+    if callable(signal.getsignal(signal.SIGHUP)):
+        os.kill(os.getpid(), signal.SIGHUP)
