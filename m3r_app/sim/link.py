@@ -25,8 +25,13 @@ Message = Any
 _SENSORS = 1 | 2 | 4 | 8  # gyro, accelerometer, magnetometer, pressure
 _GPS, _CONTROL, _MOTORS, _RC = 32, 1024 | 2048 | 4096 | 8192 | 16384, 32768, 65536
 _AHRS, _BATTERY, _PREARM = 0x200000, 0x2000000, 0x10000000
-_CAPABILITIES = 2 | 8 | 64 | 128 | 256 | 8192 | 131072
-"""Float and int commands, missions as ints, offboard in local NED and global, MAVLink 2, bytewise parameters."""
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
 _RATES_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.02,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.02,
@@ -49,6 +54,7 @@ _ON_REQUEST = {
 }
 _PARAMETERS_PER_TICK = 5
 _TANGENT_M = 5.0
+_TEXT_BYTES = 50
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION, _IGNORE_YAW, _IGNORE_YAW_RATE = 7, 56, 448, 1024, 2048
 
 
@@ -70,10 +76,10 @@ class VehicleLink:
         self.socket.setblocking(False)
         self._destination = destination
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
-        self._mav.robust_parsing = True
         # Different drones' messages of one kind do not all fall on the same tick.
         self._every_s = dict(_RATES_S)
         self._next_s = {kind: (kind * 7 + system_id * 3) % 10 * TICK_S for kind in _RATES_S}
+        self._long_texts = 0
         self._to_list: list[tuple[str, Address]] = []
         self._mode_sent: tuple[FlightMode, bool] | None = None
         self._origin = frame.geodetic(autopilot.origin)
@@ -92,7 +98,7 @@ class VehicleLink:
             self._to_list.clear()
             return
         for severity, text in pilot.texts:
-            self._send(mavlink.MAVLink_statustext_message(int(severity), text.encode()[:50]))
+            self._say(int(severity), text.encode())
         pilot.texts.clear()
         # A change of mode is told at once, as PX4 does.
         if (told := (pilot.mode, pilot.armed)) != self._mode_sent:
@@ -113,6 +119,15 @@ class VehicleLink:
             # Nobody listens there yet, or any more: a drone goes on flying.
             return
         self._mav.seq = (self._mav.seq + 1) % 256
+
+    def _say(self, severity: int, text: bytes) -> None:
+        """STATUSTEXT, in numbered pieces if it is long."""
+        pieces = [text[i : i + _TEXT_BYTES] for i in range(0, len(text), _TEXT_BYTES)]
+        number = 0
+        if len(pieces) > 1:
+            self._long_texts = number = self._long_texts % 65535 + 1
+        for i, piece in enumerate(pieces):
+            self._send(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
     def _send_kind(self, kind: int, address: Address) -> bool:
         build = _BUILDERS.get(kind)
@@ -304,7 +319,10 @@ class VehicleLink:
             except OSError:
                 # Linux reports here that an earlier datagram found nobody listening.
                 continue
-            for message in self._mav.parse_buffer(data) or ():
+            # A datagram holds whole messages: what is broken in one cannot swallow the next.
+            parser = mavlink.MAVLink(None)
+            parser.robust_parsing = True
+            for message in parser.parse_buffer(data) or ():
                 self._handle(message, address)
 
     def _handle(self, message: Message, address: Address) -> None:
