@@ -111,10 +111,6 @@ class Slot(Generic[T]):
         """Replace what is held by a value that arrived at at_s."""
         self._held = (value, at_s)
 
-    def clear(self) -> None:
-        """Forget: the value is known to hold no more."""
-        self._held = None
-
     @property
     def value(self) -> T | None:
         held = self._held
