@@ -29,23 +29,25 @@ _TURNS: dict[str, Command] = {"left": Command.TURN_LEFT, "right": Command.TURN_R
 _PAIRING: dict[str, Command] = {"activate": Command.ACTIVATE, "disconnect": Command.DISCONNECT}
 
 # Everyday words that compete with the commands for what was said, so that speech which is no request is not bent into
-# one. Common English words, plus the answers and numbers people give each other.
+# one. Common English words, plus the answers and numbers people give each other. Words that sound almost like one of a
+# command (last, late, low, time) are left out: they would take its place.
 OTHER_WORDS: tuple[str, ...] = tuple(
     """
-    the a of to and in is you that it he was for on are with as his they be at one have this from or had by hot but some
-    what there we can out other were all your when use word how said an each she which do their time if will way about
+    the a of to and in is you that it he was for on are with as his they be at one have this from or had by hot but
+    some what there we can out other were all your when use word how said an each she which do their if will way about
     many then them would write like so these her long make thing see him two has look more day could come did my sound
     no most number who over know water than call first people may side been now find any new work part take get place
-    made live where after little only round man year came show every good me give our under name very through just form
-    much great think say help low line before cause same mean differ move boy old too does tell sentence three want air
-    well also play small end put home read hand port large spell add even land here must big high such follow act why
-    ask men change went light kind off need house picture try us again animal point mother world near build self earth
-    father head stand own page should country found answer school grow study learn plant cover food sun four thought
-    let keep eye never last door between city tree cross since hard start might story saw far sea draw late run while
-    press close night real life few open seem together next children begin got walk example ease paper often always
-    music those both mark book letter until mile river car feet care second group carry took rain eat room friend began
-    idea fish mountain north once base hear horse cut sure watch face wood main yes okay hello please thanks happy bird
-    cat dog bed wow zero five six seven eight nine ten coffee order medium milk sugar cup
+    made where after little only round man year came show every good me give our under name very through just form
+    much great think say help line before cause same mean differ move boy old too does tell sentence three want air
+    well also play small end put home read hand port large spell even land here must big high such follow act why ask
+    men change went light kind off need house picture try us again animal point mother world near build self father
+    head stand own page should country found answer school grow study learn plant cover food sun four thought keep eye
+    never door between city tree cross since hard start might story saw far sea draw while press close night real life
+    few open seem together next children begin walk example ease paper often always music those both mark book letter
+    until mile river car feet care second group carry took rain eat room friend began idea fish mountain north once
+    base hear horse cut sure watch face wood yes okay hello please thanks happy bird cat dog bed wow zero five six
+    seven eight nine ten coffee order medium milk sugar cup slow blow around going deactivate connect drone battery
+    sorry nothing maybe later
     """.split()
 )
 

@@ -78,14 +78,13 @@ class Ear:
         segments, self._segments, self.partial = self._segments, [], ""
         if len(segments) == 1:
             return segments[0]
-        whole = Hypothesis(" ".join(s[0].text for s in segments), sum(s[0].score for s in segments))
-        return [whole] if segments else []
+        return [Hypothesis(" ".join(s[0].text for s in segments).strip(), sum(s[0].score for s in segments))]
 
     def _keep(self, result: str) -> None:
         heard = [
             Hypothesis(normalise(a["text"]), float(a["confidence"])) for a in json.loads(result).get("alternatives", [])
         ]
-        if heard and heard[0].text:
+        if heard:
             self._segments.append(heard)
 
 
@@ -98,7 +97,9 @@ class Recognizer:
         self.missing_words = tuple(word for word in table.words if not known[word])
         """Words of the phrases that the model lacks: no phrase with one of them can be heard."""
         if not known[STOP_WORD]:
-            raise ModelError(f"the voice model does not know the word {STOP_WORD!r}: fetch another with `m3r models fetch`")
+            raise ModelError(
+                f"the voice model does not know the word {STOP_WORD!r}: fetch another with `m3r models fetch`"
+            )
         phrases = tuple(phrase for phrase in table.phrases if all(known[word] for word in phrase.split()))
         unknown = (UNKNOWN_WORD,) if known[UNKNOWN_WORD] else ()
         single = tuple(word for word in (*table.words, *OTHER_WORDS) if known[word] and word not in phrases)
