@@ -13,6 +13,7 @@ import asyncio
 import functools
 import logging
 import math
+import sys
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
@@ -380,4 +381,10 @@ def _redirect_log() -> None:
         log.log(_LEVELS[level], "%s (%s:%s)", message, file, line)
         return True
 
+    def printed(*words: object) -> None:
+        log.warning("%s", " ".join(map(str, words)))
+
     log_subscribe(to_logging)
+    # Its Python wrappers print what goes wrong in a callback: one status text that is not UTF-8 is enough.
+    for wrapper in (log_subscribe, Action, MavlinkDirect, MissionRaw, Offboard, Param, TelemetryPlugin):
+        vars(sys.modules[wrapper.__module__])["print"] = printed

@@ -58,6 +58,10 @@ class StandIn:
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
+    def say(self, text: bytes) -> None:
+        """STATUSTEXT"""
+        self._mav.statustext_send(mavlink.MAV_SEVERITY_CRITICAL, text)
+
     def close(self) -> None:
         self._stop.set()
         self._thread.join(2.0)
@@ -143,7 +147,7 @@ class StandIn:
         number = message.command
         result = mavlink.MAV_RESULT_ACCEPTED
         if number in self.refuse:
-            self._mav.statustext_send(mavlink.MAV_SEVERITY_CRITICAL, self.refuse[number].encode())
+            self.say(self.refuse[number].encode())
             result = mavlink.MAV_RESULT_DENIED
         elif number == mavlink.MAV_CMD_DO_SET_MODE:
             mode = int(message.param2) << 16 | int(message.param3) << 24

@@ -419,16 +419,20 @@ def test_we_are_a_ground_station() -> None:
     with_stand_in(test)
 
 
-def test_mavsdk_writes_nothing_to_standard_output(
+def test_mavsdk_writes_nothing_to_standard_output_even_of_what_it_cannot_read(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def test(vehicle: Vehicle, _: StandIn) -> None:
-        await vehicle.hold()
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        autopilot.say(b"no \xff UTF-8")
+        autopilot.say(b"plain words")
+        await until(lambda: [status.text for status in vehicle.status_texts] == ["plain words"])
 
     caplog.set_level(logging.DEBUG, "m3r.mavsdk")
     with_stand_in(test)
     assert capfd.readouterr().out == ""
-    assert caplog.records, "its messages go to logging instead"
+    messages = [record.getMessage() for record in caplog.records]
+    assert any("plain words" in message for message in messages), "its messages go to logging instead"
+    assert any("Error in status_text callback" in message for message in messages)
 
 
 def test_mission_resumes_by_command() -> None:
