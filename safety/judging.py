@@ -16,6 +16,7 @@ EPSILON = 1e-9
 SPARE_M = 3.0
 """What stands still is looked for this far beyond what is required; farther, a sentence says "at least"."""
 
+_ONES = np.ones(3)
 T = TypeVar("T")
 
 
@@ -29,7 +30,7 @@ def amount(size: float, unit: str = "m") -> str:
 def gaps_m(path: Path) -> Floats:
     """(n - 1,) distances between the points of a path."""
     steps = path.points_ned_m[1:] - path.points_ned_m[:-1]
-    return np.asarray(np.sqrt((steps * steps).sum(axis=1)))
+    return np.asarray(np.sqrt((steps * steps) @ _ONES))
 
 
 def between(margins: Floats, gaps: Floats) -> Floats:
@@ -59,11 +60,10 @@ def judge(
     spare: what it is ("terrain"); lack: the sentence for a failure, with {} for the number; unknown: the sentence where a
     margin is no number. far: margins from SPARE_M on are only known to be at least that.
     """
-    lowest = float(margins_m.min())
-    if between_m is not None and between_m.size:
-        lowest = min(lowest, float(between_m.min()))
+    # Between two samples it can only be less than at either.
+    lowest = float(np.minimum.reduce(between_m if between_m is not None and between_m.size else margins_m))
     # One sample that is no number spoils the whole, even if it would be far away.
-    if not math.isfinite(lowest + float(margins_m.sum())):
+    if not math.isfinite(lowest + float(np.add.reduce(margins_m))):
         return Finding(constraint, requirements, None, "m", False, unknown)
     if lowest >= -EPSILON:
         lowest = max(lowest, 0.0)

@@ -25,7 +25,11 @@ class Polygons:
     """The edges of m polygons (each maybe with holes) in local (north, east) metres."""
 
     edges: Floats
-    """(6, e): start north and east, end north and east, 1 / squared length, north per east (0 where east is constant)"""
+    """(4, e): start north and east, end north and east"""
+    maps: Floats
+    """(3, 3, e) linear in (north, east, 1): how far a point is along the edge, beside it, and north of its line (m)"""
+    lengths_m: Floats
+    """(e,)"""
     firsts: Ints
     """(m,) index of each polygon's first edge; its edges are consecutive and at least one."""
     centre: tuple[float, float] = (0.0, 0.0)
@@ -50,14 +54,19 @@ class Polygons:
                 starts.append(corners[:-1][real])
                 ends.append(corners[1:][real])
                 count += int(real.sum())
-        edges = np.zeros((6, count))
+        edges = np.zeros((4, count))
         if count:
             edges[:2] = np.concatenate(starts).T
-            edges[2:4] = np.concatenate(ends).T
-            north, east = edges[2:4] - edges[:2]
-            edges[4] = 1.0 / (north * north + east * east)
-            np.divide(north, east, out=edges[5], where=east != 0.0)
-        return Polygons(edges, np.array(firsts, dtype=np.intp))
+            edges[2:] = np.concatenate(ends).T
+        north, east = edges[2:] - edges[:2]
+        lengths = np.hypot(north, east)
+        maps = np.zeros((3, 3, count))
+        maps[0, 0], maps[1, 0] = north / lengths, east / lengths
+        maps[0, 1], maps[1, 1] = -maps[1, 0], maps[0, 0]
+        # An edge that runs north has no line to be north of, and is never asked for one.
+        maps[0, 2], maps[1, 2] = 1.0, -np.divide(north, east, out=np.zeros(count), where=east != 0.0)
+        maps[2] = -(maps[0] * edges[0] + maps[1] * edges[1])
+        return Polygons(edges, maps, lengths, np.array(firsts, dtype=np.intp))
 
     def __len__(self) -> int:
         return len(self.firsts)
@@ -67,7 +76,7 @@ class Polygons:
 
         among: (m,) which polygons to look at; all of them if None.
         """
-        north, east, end_north, end_east, _, _ = self.edges
+        north, east, end_north, end_east = self.edges
         # The test for "inside" looks north from a point: edges beside that strip, or south of it, cannot count.
         matters = np.minimum(east, end_east) <= centre.east + reach_m
         matters &= np.maximum(east, end_east) >= centre.east - reach_m
@@ -78,27 +87,36 @@ class Polygons:
         which = np.flatnonzero(kept)
         counts = kept[which]
         firsts = np.cumsum(counts) - counts
-        edges = self.edges.take(np.flatnonzero(matters), axis=1)
-        return Polygons(edges, firsts, (centre.north, centre.east), reach_m), which
+        edges = np.flatnonzero(matters)
+        cut = Polygons(
+            self.edges.take(edges, axis=1),
+            self.maps.take(edges, axis=2),
+            self.lengths_m[edges],
+            firsts,
+            (centre.north, centre.east),
+            reach_m,
+        )
+        return cut, which
 
     def distance_m(self, points_ne_m: Floats) -> Floats:
         """(n, m) signed distance of (n, 2) points: negative inside, positive outside (a hole is outside).
 
         After `near`, never more than what it can vouch for: reach_m less the point's distance from the centre.
         """
-        north, east = points_ne_m[:, 0, None], points_ne_m[:, 1, None]
-        start_north, start_east, end_north, end_east, per_square, slope = self.edges
-        side_north, side_east = end_north - start_north, end_east - start_east
-        from_north, from_east = north - start_north, east - start_east
-        along = from_north * (side_north * per_square) + from_east * (side_east * per_square)
-        along = np.minimum(np.maximum(along, 0.0), 1.0)
-        off_north, off_east = from_north - along * side_north, from_east - along * side_east
-        distance = np.sqrt(np.minimum.reduceat(off_north * off_north + off_east * off_east, self.firsts, axis=1))
+        count = len(self.lengths_m)
+        found = points_ne_m @ self.maps[:2].reshape(2, -1) + self.maps[2].reshape(-1)
+        along, beside, beyond = found[:, :count], found[:, count : 2 * count], found[:, 2 * count :]
+        over = along - np.minimum(np.maximum(along, 0.0), self.lengths_m)
+        distance = np.sqrt(np.minimum.reduceat(beside * beside + over * over, self.firsts, axis=1))
         # Count the edges straight north of the point. An edge holds its lower end in east but not its upper one.
-        crossed = ((east >= start_east) != (east >= end_east)) & (from_north < from_east * slope)
+        east = points_ne_m[:, 1, None]
+        crossed = ((east >= self.edges[1]) != (east >= self.edges[3])) & (beyond < 0.0)
         inside = np.logical_xor.reduceat(crossed, self.firsts, axis=1)
         if self.reach_m < math.inf:
             about = points_ne_m - self.centre
-            vouched = np.maximum(self.reach_m - np.sqrt((about * about).sum(axis=1)), 0.0)
-            distance = np.minimum(distance, vouched[:, None])
+            vouched = self.reach_m - np.sqrt((about * about) @ _ONES)
+            distance = np.minimum(distance, np.maximum(vouched, 0.0)[:, None])
         return np.where(inside, -distance, distance)
+
+
+_ONES = np.ones(2)

@@ -80,8 +80,9 @@ class Terrain:
         rows, cols = self.heights_amsl_m.shape
         row, col = place
         known: NDArray[np.bool_] | None = None
+        (low_row, low_col), (high_row, high_col) = np.minimum.reduce(place, axis=1), np.maximum.reduce(place, axis=1)
         # A point that is no number is in no cell either.
-        if not (row.min() >= 0.0 and row.max() <= rows - 1 and col.min() >= 0.0 and col.max() <= cols - 1):
+        if not (low_row >= 0.0 and high_row <= rows - 1 and low_col >= 0.0 and high_col <= cols - 1):
             known = (row >= 0.0) & (row <= rows - 1) & (col >= 0.0) & (col <= cols - 1)
             row, col = np.where(known, place, 0.0)
         i = np.minimum(row.astype(np.intp), rows - 2)
@@ -247,11 +248,11 @@ class TerrainPatch:
         """(n,) distance to the nearest known triangle; about: (n, 3) north, east, down from the centre."""
         cells = self._cells
         # No point is farther from the surface than it is above it: cells beyond that of the points' box cannot be nearest.
-        low, high = about.min(axis=0), about.max(axis=0)
+        low, high = np.minimum.reduce(about), np.maximum.reduce(about)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         middle[2] *= -1.0
         apart = np.maximum(np.abs(cells.middles - middle[:, None]) - half[:, None], 0.0)
-        bound = cells.radii_m + float(np.abs(height).max())
+        bound = cells.radii_m + float(np.maximum.reduce(np.abs(height)))
         # Written so that an unknown height (NaN) leaves nothing out.
         near = np.flatnonzero(~(_ONES @ (apart * apart) > bound * bound))
         if not near.size:
@@ -265,11 +266,12 @@ class TerrainPatch:
         plane, u, v = faces[:, :, 0], faces[:, :, 1], faces[:, :, 2]
         # The foot of the perpendicular lies in the triangle, or the nearest point is on one of its sides.
         over = np.minimum(np.minimum(u, v), 1.0 - u - v) >= 0.0
-        foot = np.where(over, plane * plane, np.inf).min(axis=(1, 2))
-        along, corner = found[:, 6:9], found[:, 9] + squares[:, None]
+        foot = np.minimum.reduce(np.where(over, plane * plane, np.inf), axis=(1, 2))
+        along = found[:, 6:9]
         t = np.minimum(np.maximum(along, 0.0), 1.0)
-        side = (maps[3, 10:] * t * (t - 2.0 * along)).min(axis=1) + corner
-        return np.asarray(np.sqrt(np.maximum(np.minimum(foot, side.min(axis=1)), 0.0)))
+        side = np.minimum.reduce(maps[3, 10:] * t * (t - (along + along)), axis=1) + found[:, 9]
+        nearest = np.minimum(foot, np.minimum.reduce(side, axis=1) + squares)
+        return np.asarray(np.sqrt(np.maximum(nearest, 0.0)))
 
 
 _ONES = np.ones(3)
