@@ -165,7 +165,7 @@ class Scenario(_Table):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         if both := set(self.vehicles) & set(self.traffic):
-            raise ValueError(f"{sorted(both)[0]} names both a vehicle and traffic")
+            raise ValueError(f"{min(both)} names both a vehicle and traffic")
         return self
 
     def file(self, name: Path) -> Path:

@@ -1,6 +1,7 @@
 """`python -m m3r_app.sim`: the simulated fleet as a process of its own.
 
-When ready it prints one JSON line with the addresses to listen at, and flies until it is told to end (SIGTERM, SIGINT)
+When ready it prints one JSON line with the addresses to listen at ("also": where a second station may connect to, to
+give commands), and flies until it is told to end (SIGTERM, SIGINT)
 or, with --die-with-parent, until its standard input is closed, which happens however its parent ends.
 """
 
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         count = len(scenario.vehicles) + len(scenario.traffic)
         if not 1024 <= options.port_base <= 65536 - count:
             raise ValueError(f"--port-base {options.port_base}: {count} ports from 1024 to 65535 are needed")
-        truth = options.truth.open("w", encoding="utf-8") if options.truth else None
+        truth = options.truth.open("w", buffering=1, encoding="utf-8") if options.truth else None
         fleet = Fleet(scenario, options.port_base, truth)
     except OSError as error:
         print(f"{error.filename or 'network'}: {error.strerror or error}", file=sys.stderr)
@@ -57,7 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
-    print(json.dumps({"vehicles": fleet.vehicles, "traffic": fleet.traffic}), flush=True)
+    ready = {"vehicles": fleet.vehicles, "traffic": fleet.traffic, "also": fleet.also}
+    print(json.dumps(ready), flush=True)
     fleet.run(stopped)
     fleet.close()
     if truth is not None:

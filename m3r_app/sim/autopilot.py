@@ -406,7 +406,9 @@ class Autopilot:
             if wanted.reason == "offboard control lost" and self.parameters.bits("COM_OBL_RC_ACT") in (6, 7):
                 self._disarm("Failsafe activated: offboard control lost, motors off")
                 return
-            self.say(Severity.CRITICAL, f"Failsafe activated: {wanted.reason}, entering {wanted.mode.name.capitalize()}")
+            self.say(
+                Severity.CRITICAL, f"Failsafe activated: {wanted.reason}, entering {wanted.mode.name.capitalize()}"
+            )
         else:
             self.say(Severity.INFO, "Failsafe cleared")
         self.failsafe = wanted
@@ -453,7 +455,9 @@ class Autopilot:
         levels = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
         level = sum(self.battery <= self.parameters[name] for name in levels)
         if level > self._battery_warned:
-            self.say(Severity.WARNING, ("", "Low battery level", "Critical battery level", "Emergency battery level")[level])
+            self.say(
+                Severity.WARNING, ("", "Low battery level", "Critical battery level", "Emergency battery level")[level]
+            )
         self._battery_warned = level
 
     # Where it flies

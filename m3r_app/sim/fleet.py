@@ -106,7 +106,12 @@ class Fleet:
         drone = Multirotor(position=places[0])
         parameters = Parameters({"MPC_XY_CRUISE": traffic.speed_m_s, "MPC_ACC_HOR": 1.0})
         return Autopilot(
-            drone, self._error(scenario, name), self._ground_down_m, parameters, there_and_back, mission_loops=traffic.loop
+            drone,
+            self._error(scenario, name),
+            self._ground_down_m,
+            parameters,
+            there_and_back,
+            mission_loops=traffic.loop,
         )
 
     def _add(self, scenario: Scenario, name: str, pilot: Autopilot, system_id: int, port: int) -> str:
@@ -126,6 +131,11 @@ class Fleet:
             if pilot.now_s >= self._start_s.get(name, math.inf):
                 del self._start_s[name]
                 pilot.change_mode(FlightMode.MISSION)
+
+    @property
+    def also(self) -> dict[str, str]:
+        """Where any other ground station may send commands, as a second operator does: udpout://127.0.0.1:port"""
+        return {name: f"udpout://{HOST}:{link.socket.getsockname()[1]}" for name, link in self.links.items()}
 
     def tick(self) -> None:
         """TICK_S more for everybody, then telemetry and the record of the truth."""
@@ -175,5 +185,3 @@ class Fleet:
 def _rng(scenario: Scenario, name: str, purpose: str) -> Random:
     """A generator of its own for each drone and purpose: adding a drone changes nobody else's noise."""
     return Random(f"{scenario.seed}/{name}/{purpose}")
-
-

@@ -410,9 +410,7 @@ class VehicleLink:
     def _reposition(self, values: list[float]) -> Answer:
         lat, lon, amsl = values[4:7]
         here = self._frame.geodetic(self.autopilot.position)
-        place = Geodetic(
-            *(new if math.isfinite(new) else old for new, old in zip((lat, lon, amsl), here, strict=True))
-        )
+        place = Geodetic(*(new if math.isfinite(new) else old for new, old in zip((lat, lon, amsl), here, strict=True)))
         if not abs(place.lat_deg) <= 90.0:
             return Answer.DENIED
         goal = self._frame.ned(place)

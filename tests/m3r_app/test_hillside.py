@@ -15,8 +15,18 @@ from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.situation import Situation, World
 from safety.supervisor import decide, interpret
-from safety.vocabulary import Anchor, Command, Decision, ManeuverRequest, Modality, Ned, Neighbours, Operator
-from safety.vocabulary import VehicleState, Verdict
+from safety.vocabulary import (
+    Anchor,
+    Command,
+    Decision,
+    ManeuverRequest,
+    Modality,
+    Ned,
+    Neighbours,
+    Operator,
+    VehicleState,
+    Verdict,
+)
 
 LIMITS = Limits()
 FIRST_MOVES = [

@@ -51,6 +51,8 @@ class FleetProcess:
         addresses = json.loads(line)
         self.vehicles: dict[str, str] = addresses["vehicles"]
         self.traffic: dict[str, str] = addresses["traffic"]
+        self.also: dict[str, str] = addresses["also"]
+        """Where a second ground station may send commands."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -21,9 +21,7 @@ def autopilot(
 ) -> Autopilot:
     """One on flat ground at down = 0, with a perfect position."""
     error = PositionError(1e-6, 1e-6, 300.0, 1e-6, Random(1))
-    return Autopilot(
-        Multirotor(position=place), error, lambda n, e: 0.0, Parameters(params), waypoints, rc, 1.0, loops
-    )
+    return Autopilot(Multirotor(position=place), error, lambda n, e: 0.0, Parameters(params), waypoints, rc, 1.0, loops)
 
 
 def run(pilot: Autopilot, seconds: float, each: Callable[[], None] | None = None) -> None:

@@ -136,7 +136,12 @@ def test_gauss_markov_has_the_sigma_and_the_memory_it_says() -> None:
 
 @pytest.mark.parametrize("tau_s", [10.0, 300.0])
 def test_a_position_error_never_leaves_what_it_declares(tau_s: float) -> None:
-    errors, squares_h, squares_v, count = [PositionError(0.25, 0.35, tau_s, 0.01, Random(i)) for i in range(40)], 0.0, 0.0, 0
+    errors, squares_h, squares_v, count = (
+        [PositionError(0.25, 0.35, tau_s, 0.01, Random(i)) for i in range(40)],
+        0.0,
+        0.0,
+        0,
+    )
     touched = 0.0
     for _ in range(500):
         for error in errors:
