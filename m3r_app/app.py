@@ -261,7 +261,7 @@ class _Run:
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
             if shell.state.session is None:
                 raise NoPairing
-        await inputs.play(self.clock(), lambda request: shell.inbox.put(request_event(request)))
+        await inputs.play(self.clock(), self.clock, lambda request: shell.inbox.put(request_event(request)))
         # What was played last has been put into the inbox; wait until it has been taken out and flown.
         held_since_s = math.inf
         while True:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from random import Random
 from typing import Any
 
@@ -47,7 +47,8 @@ from safety.limits import Limits
 from safety.obstacles import Obstacles
 from safety.situation import World
 from safety.terrain import Terrain
-from safety.vocabulary import Command, ManeuverRequest, Modality, Ned, Neighbours, Operator, VehicleState
+from safety.vocabulary import Command, ManeuverRequest, Modality, Ned, Neighbours, Operator, ReservedVolume, VehicleState
+from safety.volumes import segment_distance_m
 
 DT_S = 0.02
 MOVES = (
@@ -150,6 +151,7 @@ class Flight:
         self.limits = limits or Limits()
         self.rules = rules
         self.commands = commands
+        self.favourite = self.rng.choice(commands)
         self.duration_s = duration_s
         self.crossing = crossing
         self.telemetry_every = telemetry_every
@@ -160,8 +162,10 @@ class Flight:
         self.neighbour_sigma_m = 0.3
         self.operator = Operator(Ned(0.0, 0.0, 0.0), 0.2)
         self.neighbours_fail = False
+        self.confidence = 0.9
         rng = self.rng
-        self.place = Ned(rng.uniform(8.0, 13.0), rng.uniform(-3.0, 3.0), -rng.uniform(5.5, 8.0))
+        self.place = Ned(rng.uniform(7.0, 12.0), rng.uniform(-3.0, 3.0), -rng.uniform(5.0, 7.0))
+        self.volumes: tuple[ReservedVolume, ...] = ()
         self.terrain = _hills(rng)
         self.walls = _walls(rng, self.place)
         self.fence = _fence(rng, self.place)
@@ -190,7 +194,7 @@ class Flight:
     def fly(self) -> Outcome:
         """Until the end of the sequence."""
         self.put(self.telemetry())
-        self.ask(Command.ACTIVATE)
+        self.ask(Command.ACTIVATE, 1.0)
         ticks = round(self.duration_s / DT_S)
         for tick in range(ticks):
             self.tick(tick)
@@ -202,18 +206,19 @@ class Flight:
         self.controller.send()
         if tick % 5 == 0:
             self.traffic()
-            self.put(NeighboursHeard(self.neighbours()))
+            self.put(NeighboursHeard(self.neighbours(), self.volumes))
             self.put(Tick())
         if tick % self.telemetry_every == 0:
             self.put(self.telemetry())
         if self.now_s >= self.next_request_s and self.state.session is not None:
-            self.next_request_s = self.now_s + self.rng.uniform(1.5, 5.0)
-            command = self.rng.choice(self.commands)
+            self.next_request_s = self.now_s + self.rng.uniform(1.5, 6.5)
+            # People push on in one direction until it no longer goes.
+            command = self.rng.choice(self.commands) if self.rng.random() < 0.5 else self.favourite
             if self.rng.random() < 0.08:
                 command = Command.STOP
             elif self.rng.random() < 0.05:
                 command = Command.CONTINUE
-            self.ask(command)
+            self.ask(command, self.confidence)
         if tick % 5 == 0:
             self.judge()
 
@@ -250,6 +255,7 @@ class Flight:
             case FaceOperator():
                 _now(self.controller.face(effect.yaw_deg))
             case Fly():
+                self.judge_start()
                 _now(self.controller.fly(effect.plan, Ned(0.0, 0.0, 0.0)))
             case Hold():
                 self.controller.hold()
@@ -343,12 +349,28 @@ class Flight:
         live = [a for a in self.aircraft if a.born_s <= self.now_s < a.gone_s]
         if live:
             margins["separation"] = min(a.at(self.now_s).minus(here).norm for a in live) - limits.separation_m
+        for volume in self.volumes:
+            inside_m = segment_distance_m(here, here, volume.start, volume.end) - volume.radius_m
+            margins["reservation"] = min(margins.get("reservation", math.inf), inside_m)
         worst, outcome = self.outcome.worst, self.outcome
         outcome.true_speed_m_s = max(outcome.true_speed_m_s, self.pilot.body.velocity.norm)
         for name, margin in margins.items():
             worst[name] = min(worst.get(name, math.inf), margin)
             if margin < 0.0:
                 outcome.violations[name] = min(outcome.violations.get(name, 0.0), margin)
+
+
+    def judge_start(self) -> None:
+        """What must be known before anything is flown."""
+        limits, violations = self.limits, self.outcome.violations
+        if self.confidence < limits.confidence_voice:
+            violations["input_confidence"] = self.confidence - limits.confidence_voice
+        if max(self.sigma_h_m, self.sigma_v_m) > limits.localization_half_m:
+            violations["localization"] = -1.0
+        if self.terrain.sigma_m > limits.terrain_half_m:
+            violations["terrain_confidence"] = -1.0
+        if self.neighbours_fail:
+            violations["neighbour_age"] = -1.0
 
 
 def without(name: str) -> tuple[Rule, ...]:
@@ -380,7 +402,7 @@ def _hills(rng: Random) -> Terrain:
 def _walls(rng: Random, place: Ned) -> Obstacles:
     polygons = []
     for _ in range(rng.randint(1, 3)):
-        bearing, away = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(4.2, 7.0)
+        bearing, away = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(3.2, 6.0)
         n, e = place.north + away * math.cos(bearing), place.east + away * math.sin(bearing)
         half, thick = rng.uniform(1.0, 5.0), 0.3
         a, b = -math.sin(bearing), math.cos(bearing)
@@ -393,9 +415,6 @@ def _walls(rng: Random, place: Ned) -> Obstacles:
 def _fence(rng: Random, place: Ned) -> Geofence:
     corners = []
     for i in range(12):
-        angle, away = 2.0 * math.pi * i / 12, rng.uniform(5.0, 12.0)
+        angle, away = 2.0 * math.pi * i / 12, rng.uniform(3.5, 10.0)
         corners.append((place.north + away * math.cos(angle), place.east + away * math.sin(angle)))
-    return Geofence.of(shapely.Polygon(corners).buffer(0), 490.0, ORIGIN_AMSL_M - place.down + rng.uniform(2.5, 5.0), ORIGIN_AMSL_M)
-
-
-__all__ = ["MOVES", "Aircraft", "Flight", "Outcome", "replace", "without"]
+    return Geofence.of(shapely.Polygon(corners).buffer(0), 490.0, ORIGIN_AMSL_M - place.down + rng.uniform(1.5, 4.0), ORIGIN_AMSL_M)
