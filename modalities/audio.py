@@ -60,7 +60,8 @@ def read_audio(path: Path | str) -> Samples:
         raise AudioError(f"audio file {path} holds samples that are not numbers: record or convert it again")
     if rate_hz != SAMPLE_RATE_HZ:
         mono = soxr.resample(mono, rate_hz, SAMPLE_RATE_HZ)
-    return np.clip(np.rint(mono * 32768.0), -32768, 32767).astype(np.int16)
+    samples: Samples = np.clip(np.rint(mono * 32768.0), -32768, 32767).astype(np.int16)
+    return samples
 
 
 def chunks(samples: Samples, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[Chunk]:

@@ -23,6 +23,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import IO
 
 from modalities.models import ModelError, VoiceModel, cache_folder, missing_parts, voice_model_in
 
@@ -226,10 +227,10 @@ def _new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _write(path: Path, data: object) -> None:
+def _write(path: Path, data: IO[bytes]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
-        shutil.copyfileobj(data, file, BLOCK_BYTES)  # type: ignore[misc]
+        shutil.copyfileobj(data, file, BLOCK_BYTES)
 
 
 def _safe_parts(name: str, archive: Path) -> tuple[str, ...]:
