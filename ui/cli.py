@@ -260,21 +260,16 @@ def _run_sim(options: argparse.Namespace) -> int:
 
 
 def _run_models(options: argparse.Namespace) -> int:
-    from modalities.models import fetch_model, list_models
+    from ui.models import fetch, show_models
 
-    if options.action == "fetch":
-        print(fetch_model())
-    else:
-        print("\n".join(list_models()))
+    (fetch if options.action == "fetch" else show_models)()
     return 0
 
 
 def _run_evaluate(options: argparse.Namespace) -> int:
-    import json
+    from ui.models import evaluate
 
-    from modalities.evaluate import evaluate_voice
-
-    print(json.dumps(evaluate_voice(options.folder), indent=2, allow_nan=False))
+    evaluate(options.folder)
     return 0
 
 

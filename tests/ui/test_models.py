@@ -1,0 +1,71 @@
+"""`m3r models` and `m3r evaluate` as a person or a script calls them, on a stand-in for a model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from modalities import models as voice_models
+from ui import cli
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def no_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A machine on which no voice model has been put."""
+    monkeypatch.delenv("M3R_MODELS", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def model(no_model: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder with the files of a voice model, empty of sense."""
+    folder = tmp_path / "models" / "vosk-model-small-en-us-test"
+    for part in voice_models._PARTS:
+        path = folder / part
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")
+    monkeypatch.setenv("M3R_MODELS", str(folder.parent))
+    return folder
+
+
+@pytest.mark.parametrize("words", [["models", "list"], ["evaluate", "voice", "somewhere"]])
+@pytest.mark.usefixtures("no_model")
+def test_no_model_is_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    assert cli.main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "m3r: there is no voice model on this machine: run `m3r models fetch`\n"
+
+
+@pytest.mark.parametrize(("action", "ending"), [("list", ""), ("fetch", " (nothing to fetch)")])
+def test_a_model_that_is_there_is_named(
+    model: Path, capsys: pytest.CaptureFixture[str], action: str, ending: str
+) -> None:
+    assert cli.main(["models", action]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith(f"voice model {model.name} ")
+    assert out.endswith(f", in {model}{ending}\n")
+    assert err == ""
+
+
+@pytest.mark.parametrize("action", ["list", "fetch"])
+@pytest.mark.usefixtures("no_model")
+def test_a_wrong_models_folder_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, action: str
+) -> None:
+    monkeypatch.setenv("M3R_MODELS", str(tmp_path))
+    assert cli.main(["models", action]) == 2
+    assert capsys.readouterr().err.startswith(f"m3r: M3R_MODELS names {tmp_path}, which holds no voice model")
+
+
+def test_evaluating_a_missing_folder_names_it(model: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert model.is_dir()
+    assert cli.main(["evaluate", "voice", str(tmp_path / "recordings")]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1].startswith("m3r: ")
+    assert "recordings" in err.splitlines()[-1]
