@@ -93,12 +93,12 @@ def nearby(situation: Situation, path: Path, limits: Limits) -> Situation:
     vehicle, terrain = situation.vehicle, situation.world.terrain
     start = points[0]
     travel_m = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
-    # The longest of the required distances, and half of the widest gap between samples.
+    # From the far end of the path it must still be seen as far as required, and the spare beyond.
     required_m = max(limits.clearance_m, limits.obstacle_clearance_m, limits.min_agl_m) + bounds.error_m(
         vehicle.sigma_m, limits
     )
     required_m += limits.sigma_k * (bounds.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
-    reach_m = 2.0 * travel_m + required_m + SPARE_M
+    reach_m = travel_m + required_m + SPARE_M + 0.1
     if not np.isfinite(reach_m) or not np.isfinite(path.times_s[-1]):
         # Nothing can be left out; the rules will say what is missing.
         return situation

@@ -150,8 +150,8 @@ class Terrain:
             unknown = np.stack((mid_n[blank], mid_e[blank]))
         cells = _Cells(
             _maps(self.steps_ne_m, norths[kept], easts[kept], u00[kept], u10[kept], u01[kept], u11[kept]),
-            np.stack((mid_n[kept], mid_e[kept], mid_u[kept])),
-            radii[kept],
+            np.array((mid_n[kept], mid_e[kept], mid_u[kept])),
+            _boxes(self.steps_ne_m, tall[kept]),
         )
         return TerrainPatch(self, centre, reach_m, cells, unknown, half_m, border=not inside_m >= reach_m)
 
@@ -166,11 +166,11 @@ class _Cells:
     linear (1); and in the row of the ones the squared lengths of the three sides (3)."""
     middles: Floats
     """(3, c)"""
-    radii_m: Floats
-    """(c,) of balls that hold the cells"""
+    halves_m: Floats
+    """(3, c) half the sides of the boxes about the middles that hold the cells"""
 
 
-_NOTHING = _Cells(np.zeros((4, 13, 0)), np.zeros((3, 0)), np.zeros(0))
+_NOTHING = _Cells(np.zeros((4, 13, 0)), np.zeros((3, 0)), np.zeros((3, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +220,7 @@ class TerrainPatch:
         distance = np.maximum(self.reach_m - np.sqrt(squares), 0.0)
         if self.terrain.is_flat:
             distance = np.minimum(distance, np.abs(height))
-        elif self._cells.radii_m.size:
+        elif self._cells.middles.size:
             distance = np.minimum(distance, self._surface_m(about, squares, height))
         if not self.is_complete:
             distance = np.minimum(distance, self.unknown_m(points_ned_m))
@@ -247,14 +247,14 @@ class TerrainPatch:
     def _surface_m(self, about: Floats, squares: Floats, height: Floats) -> Floats:
         """(n,) distance to the nearest known triangle; about: (n, 3) north, east, down from the centre."""
         cells = self._cells
-        # No point is farther from the surface than it is above it: cells beyond that of the points' box cannot be nearest.
+        # No point is farther from the surface than it is above it: cells farther than that from the points' box are not
+        # nearest to any. Written so that an unknown height (NaN) leaves nothing out.
         low, high = np.minimum.reduce(about), np.maximum.reduce(about)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         middle[2] *= -1.0
-        apart = np.maximum(np.abs(cells.middles - middle[:, None]) - half[:, None], 0.0)
-        bound = cells.radii_m + float(np.maximum.reduce(np.abs(height)))
-        # Written so that an unknown height (NaN) leaves nothing out.
-        near = np.flatnonzero(~(_ONES @ (apart * apart) > bound * bound))
+        apart = np.maximum(np.abs(cells.middles - middle[:, None]) - (cells.halves_m + half[:, None]), 0.0)
+        farthest_m = float(np.maximum.reduce(np.abs(height)))
+        near = np.flatnonzero(~(_ONES @ (apart * apart) > farthest_m * farthest_m * (1.0 + 1e-9)))
         if not near.size:
             return np.full(len(about), np.inf)
         points = np.ones((len(about), 4))
@@ -277,6 +277,14 @@ class TerrainPatch:
 _ONES = np.ones(3)
 
 
+def _boxes(steps: tuple[tuple[float, float], tuple[float, float]], tall: Floats) -> Floats:
+    """(3, c) half sides of boxes that hold cells whose heights are within (c,) tall of their middles."""
+    (n_row, n_col), (e_row, e_col) = steps
+    halves = np.empty((3, tall.size))
+    halves[0], halves[1], halves[2] = 0.5 * (abs(n_row) + abs(n_col)), 0.5 * (abs(e_row) + abs(e_col)), tall
+    return halves
+
+
 def _maps(
     steps: tuple[tuple[float, float], tuple[float, float]],
     north: Floats,
@@ -291,7 +299,7 @@ def _maps(
     n_both, e_both = n_row + n_col, e_row + e_col
     maps = np.zeros((4, 13, north.size))
     to10, to11, to01 = u10 - u00, u11 - u00, u01 - u00
-    corner = np.stack((north, east, u00))
+    corner = np.array((north, east, u00))
     # Triangles (00, 10, 11) and (00, 11, 01): sides p and q from the first corner.
     for k, (p_n, p_e, p_u, q_n, q_e, q_u) in enumerate(
         ((n_row, e_row, to10, n_both, e_both, to11), (n_both, e_both, to11, n_col, e_col, to01))
