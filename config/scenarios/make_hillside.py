@@ -1,7 +1,7 @@
 """Makes the hillside scenario's DEM, obstacles and geofence: `python config/scenarios/make_hillside.py`.
 
 The place is invented: a meadow that rises into a hillside to the north, a wall to the east, a no-fly area to the west.
-Everything comes from the formulas below and one seed, so that the files can be made again to the byte.
+Everything comes from the formulas below and one seed, so that the files can be made again at any time.
 """
 
 from __future__ import annotations
@@ -82,15 +82,18 @@ def write(path: Path, *features: dict[str, object]) -> None:
     path.write_text(json.dumps({"type": "FeatureCollection", "features": list(features)}, indent=1) + "\n")
 
 
-def main() -> None:
+def main(folder: Path = HERE) -> None:
+    """Make all three files."""
     ground = ORIGIN.amsl_m
-    make_dem(HERE / "hillside.tif")
+    make_dem(folder / "hillside.tif")
     write(
-        HERE / "hillside_obstacles.geojson",
+        folder / "hillside_obstacles.geojson",
         feature([ring(WALL_NE_M)], name="the wall", base_amsl_m=ground - 2.0, top_amsl_m=ground + WALL_TOP_M),
         feature([ring(BARN_NE_M)], name="the barn", base_amsl_m=ground - 2.0, top_amsl_m=ground + BARN_TOP_M),
     )
-    write(HERE / "hillside_fence.geojson", feature([ring(FENCE_NE_M), ring(NO_FLY_NE_M)], name="geofence, no-fly hole"))
+    write(
+        folder / "hillside_fence.geojson", feature([ring(FENCE_NE_M), ring(NO_FLY_NE_M)], name="geofence, no-fly hole")
+    )
 
 
 if __name__ == "__main__":

@@ -46,6 +46,13 @@ class FlightMode(Enum):
         """HEARTBEAT.custom_mode"""
         return self.value[0] << 16 | self.value[1] << 24
 
+    @property
+    def title(self) -> str:
+        """What PX4 calls it when it speaks to people."""
+        return {"LOITER": "Hold", "RTL": "Return", "POSCTL": "Position", "ALTCTL": "Altitude"}.get(
+            self.name, self.name.capitalize()
+        )
+
 
 class Answer(IntEnum):
     """MAV_RESULT"""
@@ -247,7 +254,7 @@ class Autopilot:
         if self.armed:
             reason = self._not_available(mode)
             if reason:
-                self.say(Severity.CRITICAL, f"Switching to {mode.name.capitalize()} is not available: {reason}")
+                self.say(Severity.CRITICAL, f"Switching to {mode.title} is not available: {reason}")
                 return Answer.TEMPORARILY_REJECTED
         if self.failsafe:
             self._overridden.add(self.failsafe.reason)
@@ -406,9 +413,7 @@ class Autopilot:
             if wanted.reason == "offboard control lost" and self.parameters.bits("COM_OBL_RC_ACT") in (6, 7):
                 self._disarm("Failsafe activated: offboard control lost, motors off")
                 return
-            self.say(
-                Severity.CRITICAL, f"Failsafe activated: {wanted.reason}, entering {wanted.mode.name.capitalize()}"
-            )
+            self.say(Severity.CRITICAL, f"Failsafe activated: {wanted.reason}, entering {wanted.mode.title}")
         else:
             self.say(Severity.INFO, "Failsafe cleared")
         self.failsafe = wanted

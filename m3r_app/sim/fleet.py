@@ -1,4 +1,7 @@
-"""The simulated fleet of a scenario: its drones and its traffic, in one loop that keeps real time."""
+"""The simulated fleet of a scenario: its drones and its traffic, in one loop that keeps real time.
+
+The ground stops a drone; walls and other drones do not. Whoever flies into one is found out by the record of the truth.
+"""
 
 from __future__ import annotations
 

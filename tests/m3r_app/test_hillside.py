@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 
 from m3r_app.scenario import SHIPPED, Scenario, load_scenario
 from m3r_app.sim.autopilot import TICK_S, Autopilot
@@ -99,6 +102,25 @@ def moved(here: Situation, decision: Decision) -> Situation:
     assert decision.plan is not None
     goal = decision.plan.goal
     return replace(here, vehicle=replace(here.vehicle, position=goal), anchor=Anchor(goal, 180.0, 99.0))
+
+
+def test_the_shipped_files_are_what_their_script_makes(tmp_path: Path, world: World) -> None:
+    specification = importlib.util.spec_from_file_location("make_hillside", SHIPPED / "make_hillside.py")
+    assert specification is not None and specification.loader is not None
+    script = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(script)
+    script.main(tmp_path)
+    for name in ("hillside_obstacles.geojson", "hillside_fence.geojson"):
+        assert (tmp_path / name).read_text() == (SHIPPED / name).read_text()
+    with rasterio.open(tmp_path / "hillside.tif") as made, rasterio.open(SHIPPED / "hillside.tif") as shipped:
+        assert (made.crs, made.transform, made.units) == (shipped.crs, shipped.transform, shipped.units)
+        assert np.abs(made.read(1) - shipped.read(1)).max() <= 1.0 / 64.0
+    # And the app's reading of it is the formula's ground, within the stated error.
+    places = np.random.default_rng(1).uniform(-150.0, 150.0, (500, 2))
+    assert world.terrain is not None
+    read_m = -world.terrain.agl_m(np.column_stack((places, np.zeros(500))))
+    errors_m = read_m - script.ground_m(places[:, 0], places[:, 1])
+    assert np.abs(errors_m).max() < 2.0 * world.terrain.sigma_m and errors_m.std() < world.terrain.sigma_m
 
 
 @pytest.mark.parametrize("command", FIRST_MOVES)
