@@ -32,8 +32,9 @@ class Polygons:
     """(e,)"""
     firsts: Ints
     """(m,) index of each polygon's first edge; its edges are consecutive and at least one."""
-    centre: tuple[float, float] = (0.0, 0.0)
-    reach_m: float = math.inf
+    centre_ne_m: Floats
+    """(2,)"""
+    reach_m: float
     """Only edges that matter to points within this of the centre are kept."""
 
     @staticmethod
@@ -66,7 +67,7 @@ class Polygons:
         # An edge that runs north has no line to be north of, and is never asked for one.
         maps[0, 2], maps[1, 2] = 1.0, -np.divide(north, east, out=np.zeros(count), where=east != 0.0)
         maps[2] = -(maps[0] * edges[0] + maps[1] * edges[1])
-        return Polygons(edges, maps, lengths, np.array(firsts, dtype=np.intp))
+        return Polygons(edges, maps, lengths, np.array(firsts, dtype=np.intp), np.zeros(2), math.inf)
 
     def __len__(self) -> int:
         return len(self.firsts)
@@ -93,7 +94,7 @@ class Polygons:
             self.maps.take(edges, axis=2),
             self.lengths_m[edges],
             firsts,
-            (centre.north, centre.east),
+            np.array(centre[:2]),
             reach_m,
         )
         return cut, which
@@ -113,7 +114,7 @@ class Polygons:
         crossed = ((east >= self.edges[1]) != (east >= self.edges[3])) & (beyond < 0.0)
         inside = np.logical_xor.reduceat(crossed, self.firsts, axis=1)
         if self.reach_m < math.inf:
-            about = points_ne_m - self.centre
+            about = points_ne_m - self.centre_ne_m
             vouched = self.reach_m - np.sqrt((about * about) @ _ONES)
             distance = np.minimum(distance, np.maximum(vouched, 0.0)[:, None])
         return np.where(inside, -distance, distance)

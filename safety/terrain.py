@@ -37,6 +37,8 @@ class Terrain:
     """The steepest that any triangle of it is, rise over run."""
     _cells: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros((2, 2)))
     """(2, 2) rows and columns per metre: the inverse of steps_ne_m."""
+    _corner: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros((2, 1)))
+    """(2, 1) rows and columns from the local origin to node (0, 0)"""
     _complete: bool = field(init=False, repr=False, default=False)
     """There is no node without data."""
 
@@ -54,6 +56,7 @@ class Terrain:
         cells = np.array(((d, -b), (-c, a))) / (a * d - b * c)
         object.__setattr__(self, "heights_amsl_m", heights)
         object.__setattr__(self, "_cells", cells)
+        object.__setattr__(self, "_corner", cells @ np.array(self.corner_ne_m)[:, None])
         object.__setattr__(self, "_complete", bool(np.isfinite(heights).all()))
         object.__setattr__(self, "slope", _steepest(heights, cells))
 
@@ -76,7 +79,7 @@ class Terrain:
         """(n,) vertical height of (n, 3) points above the surface; NaN where there is no data."""
         if self.is_flat:
             return np.asarray(self.origin_amsl_m - self.heights_amsl_m[0, 0] - points_ned_m[:, 2])
-        place = ((points_ned_m[:, :2] - self.corner_ne_m) @ self._cells.T).T
+        place = self._cells @ points_ned_m[:, :2].T - self._corner
         rows, cols = self.heights_amsl_m.shape
         row, col = place
         known: NDArray[np.bool_] | None = None
@@ -186,6 +189,11 @@ class TerrainPatch:
     _unknown_radius_m: float
     border: bool
     """The end of the grid is within reach."""
+    _centre: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros(3))
+    """The centre as an array."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_centre", np.array(self.centre))
 
     @property
     def sigma_m(self) -> float:
@@ -215,7 +223,7 @@ class TerrainPatch:
         less the point's distance from the centre. agl_m: these points' heights, if the caller has them already.
         """
         height = self.agl_m(points_ned_m) if agl_m is None else agl_m
-        about = points_ned_m - self.centre
+        about = points_ned_m - self._centre
         squares = (about * about) @ _ONES
         distance = np.maximum(self.reach_m - np.sqrt(squares), 0.0)
         if self.terrain.is_flat:
@@ -229,7 +237,7 @@ class TerrainPatch:
 
     def unknown_m(self, points_ned_m: Floats) -> Floats:
         """(n,) horizontal distance of (n, 3) points to where there is no data; at most what the patch can vouch for."""
-        about = points_ned_m - self.centre
+        about = points_ned_m - self._centre
         distance = np.maximum(self.reach_m - np.sqrt((about * about) @ _ONES), 0.0)
         if self.border:
             cells = self.terrain._cells
