@@ -69,7 +69,7 @@ class StatusText:
 
 
 class Vehicle:
-    """A connected vehicle. Made by `Vehicle.connect`; every method but hold_blocking belongs to the event loop."""
+    """A connected vehicle. Made by `Vehicle.connect`; every method but the two blocking Holds belongs to the event loop."""
 
     def __init__(self, colour: str, url: str, clock: Callable[[], float], mavsdk: Mavsdk, system: Any) -> None:
         self.colour = colour

@@ -19,6 +19,7 @@ import pytest
 from m3r_app.guard import HOLD_AFTER_S, KILL_AFTER_S, Guard
 
 ROOT = Path(__file__).resolve().parents[2]
+RUNS = range(25 if os.environ.get("M3R_SOAK") else 1)
 
 APP = """
     import asyncio, ctypes, os, sys, time
@@ -124,7 +125,8 @@ def eventually(condition: Callable[[], bool], within_s: float = 5.0) -> bool:
     return condition()
 
 
-def test_a_blocked_event_loop_is_held_by_the_thread_within_a_second_and_learns_of_it() -> None:
+@pytest.mark.parametrize("run", RUNS)
+def test_a_blocked_event_loop_is_held_by_the_thread_within_a_second_and_learns_of_it(run: int) -> None:
     with app("block") as stalled:
         stalled.hear("stuck")
         silent_s = float(stalled.hear("hold")[1])
@@ -135,7 +137,8 @@ def test_a_blocked_event_loop_is_held_by_the_thread_within_a_second_and_learns_o
         assert stalled.process.poll() is None
 
 
-def test_a_held_interpreter_is_killed_by_the_process_and_the_operator_is_told() -> None:
+@pytest.mark.parametrize("run", RUNS)
+def test_a_held_interpreter_is_killed_by_the_process_and_the_operator_is_told(run: int) -> None:
     with app("gil") as stuck:
         stuck.hear("stuck")
         began_s = time.monotonic()
@@ -152,14 +155,16 @@ def test_a_held_interpreter_without_authority_lives() -> None:
         assert stuck.process.poll() is None
 
 
-def test_a_stopped_app_is_killed() -> None:
+@pytest.mark.parametrize("run", RUNS)
+def test_a_stopped_app_is_killed(run: int) -> None:
     with app("nothing") as running:
         running.hear("running")
         running.process.send_signal(signal.SIGSTOP)
         assert running.ended_within(2.0) == -signal.SIGKILL
 
 
-def test_app_and_process_stopped_together_wake_to_a_hold_not_to_a_kill() -> None:
+@pytest.mark.parametrize("run", RUNS)
+def test_app_and_process_stopped_together_wake_to_a_hold_not_to_a_kill(run: int) -> None:
     with app("nothing") as both:
         guard_pid = int(both.hear("guarded")[1])
         both.hear("running")
