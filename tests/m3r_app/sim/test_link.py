@@ -112,7 +112,7 @@ def test_positions_agree_with_each_other_and_with_the_estimate(peer: Peer) -> No
 def test_the_cheap_conversion_is_exact(peer: Peer) -> None:
     for east in (0.0, 3.0, 4.9, 5.1, 80.0):
         peer.pilot.drone.position = Ned(40.0, east, -9.0)
-        cheap, exact = peer.link._geodetic(), FRAME.geodetic(peer.pilot.position)
+        cheap, exact = peer.link.telemetry.geodetic(), FRAME.geodetic(peer.pilot.position)
         assert FRAME.ned(cheap).minus(FRAME.ned(exact)).norm < 1e-4
 
 
