@@ -14,30 +14,30 @@ def longest_passing(
 ) -> float | None:
     """The end of a bracket no wider than step_m: a length that passes, step_m below one that fails. None: low_m fails.
 
-    As bisection (and never more than twice its tries), but where the margins say the limit is met it looks just below
-    and just above: margins fall about evenly with the length, so two or three tries are enough. at_high: what is known of
+    As bisection, and never more than three times its tries, but where the margins say the limit is met it looks just below
+    and then just above: margins fall about evenly with the length, so a few tries are enough. at_high: what is known of
     high_m, which fails.
     """
     passed, at_low_m = attempt(low_m)
     if not passed:
         return None
     at_high_m = at_high[1]
-    halve, width_m = False, high_m - low_m
+    # Aim a little below the limit while that is not yet passed, then above it; farther every time the aim was too short.
+    aim_m, guesses, width_m = -0.4 * step_m, 0, high_m - low_m
     while high_m - low_m > step_m:
-        middle_m = 0.5 * (low_m + high_m)
-        probe_m = middle_m
-        if not halve and at_low_m > 0.0 > at_high_m and math.isfinite(at_low_m - at_high_m):
+        probe_m = 0.5 * (low_m + high_m)
+        if guesses < 2 and at_low_m > 0.0 > at_high_m and math.isfinite(at_low_m - at_high_m):
             limit_m = low_m + (high_m - low_m) * at_low_m / (at_low_m - at_high_m)
-            # A little below the limit, but far enough from either end that the bracket closes if the guess is right.
-            probe_m = min(max(limit_m - 0.3 * step_m, low_m + 0.9 * step_m), high_m - 0.9 * step_m)
-            if not low_m < probe_m < high_m:
-                probe_m = middle_m
+            guess_m = min(max(limit_m + aim_m, low_m + 0.5 * step_m), high_m - 0.5 * step_m)
+            probe_m = guess_m if low_m < guess_m < high_m else probe_m
         passed, margin_m = attempt(probe_m)
         if passed:
+            aim_m = 0.4 * step_m if aim_m < 0.0 else 2.0 * aim_m
             low_m, at_low_m = probe_m, margin_m
         else:
+            aim_m = -0.4 * step_m if aim_m > 0.0 else 2.0 * aim_m
             high_m, at_high_m = probe_m, margin_m
-        # A guess that did not halve the bracket is followed by a halving.
-        halve = not halve and high_m - low_m > 0.5 * width_m
-        width_m = high_m - low_m
+        # Two guesses that did not halve the bracket are followed by a halving.
+        guesses = guesses + 1 if guesses < 2 and high_m - low_m > 0.5 * width_m else 0
+        width_m = width_m if guesses else high_m - low_m
     return low_m
