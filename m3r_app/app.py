@@ -57,10 +57,12 @@ async def run(options: RunOptions, emit: Emit) -> int:
     loop = asyncio.get_running_loop()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(name, one.interrupted.set)
+    # Suspended, it could not fly on: the guard would end it.
+    loop.add_signal_handler(signal.SIGTSTP, one.refuse_to_suspend)
     try:
         return await one.whole()
     finally:
-        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP):
             loop.remove_signal_handler(name)
 
 
@@ -88,6 +90,9 @@ class _Run:
     def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
         if self._recording is not None:
             self._recording.record(topic, t_s - self.started_s, data)
+
+    def refuse_to_suspend(self) -> None:
+        self.emit("announce", {"text": "a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C"})
 
     # ------------------------------------------------------------ the whole
 
@@ -224,6 +229,8 @@ class _Run:
         vehicle = shell.fleet.vehicles.get(colour)
         if vehicle is None:
             return (f"there is no such drone; there are {', '.join(shell.fleet.vehicles)}",)
+        if not shell.guard.ready:
+            return ("the guard process is not running, so nothing may be flown",)
         if setting.operator is None:
             return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
         await vehicle.wait_ready(setting.settings.pairing.answer_s)

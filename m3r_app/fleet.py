@@ -17,12 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from m3r_app.ports import LinkError, require_free
+from m3r_app.scenario import ScenarioError
 from m3r_app.vehicle import Vehicle, VehicleError
 from safety.frames import LocalFrame
 from safety.vocabulary import Neighbours
 
 SIMULATOR_READY_S = 30.0
 STOP_S = 3.0
+BAD_INPUT = 2
+"""The simulator's exit status for a scenario that it cannot fly."""
 PORTS = (20000, 32000)
 """Below what the system hands out by itself."""
 PORT_TRIES = 100
@@ -65,7 +68,10 @@ class SimulatedFleet:
             line = await asyncio.wait_for(process.stdout.readline(), SIMULATOR_READY_S)
             if not line:
                 words = (await process.stderr.read()).decode(errors="replace").strip().splitlines()
-                raise VehicleError(f"the simulated fleet did not start: {words[-1] if words else 'it said nothing'}")
+                last = words[-1] if words else "it said nothing"
+                if await process.wait() == BAD_INPUT:
+                    raise ScenarioError(last)
+                raise VehicleError(f"the simulated fleet did not start: {last}")
             ready = json.loads(line)
             fleet.links = Links(ready["vehicles"], ready["traffic"], complete=True)
         except TimeoutError:

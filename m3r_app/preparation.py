@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from config.settings import Settings, load_settings
 from m3r_app.options import OptionError, RunOptions
+from m3r_app.ports import check_link
 from m3r_app.scenario import SHIPPED, Scenario, load_scenario
 from m3r_app.world import load_geofence, load_obstacles, load_terrain
 from safety.frames import LocalFrame
@@ -35,8 +36,10 @@ class Setting:
 
 
 def prepare(options: RunOptions) -> Setting:
-    """Load and check everything. Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError): one sentence."""
+    """Load and check everything. Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError) or LinkError: one sentence."""
     settings = load_settings(options.config, options.overrides)
+    for url in options.vehicles.values():
+        check_link(url)
     path = options.scenario or (None if options.vehicles else SHIPPED / "hillside.toml")
     scenario = load_scenario(path) if path is not None else None
     colours = tuple(options.vehicles or (scenario.vehicles if scenario is not None else ()))

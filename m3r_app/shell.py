@@ -261,7 +261,7 @@ class Shell:
     def take_authority(self) -> None:
         """From now on the guard watches. Source: X3, X7."""
         if self.vehicle is not None:
-            self.guard.arm(self.vehicle.hold_blocking)
+            self.guard.arm(self.vehicle.hold_unless_taken_over)
 
     def _let_go(self, command: str) -> None:
         self.guard.disarm()
@@ -288,7 +288,7 @@ class Shell:
         # The guard has commanded Hold over our head: drop the plan, then let it watch again.
         self.controller.disengaged()
         self.inbox.put(Stalled("the guard commanded Hold"))
-        self.guard.arm(self.vehicle.hold_blocking)
+        self.guard.arm(self.vehicle.hold_unless_taken_over)
 
     def _sent(self, t_s: float, point: Ned, yaw_deg: float) -> None:
         if self._shift is not None:

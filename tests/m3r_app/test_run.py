@@ -1,0 +1,357 @@
+"""The whole app flies the simulated fleet over real UDP; what is said is compared with the true state."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
+
+from m3r_app.recorder import read_header, read_record
+from safety.limits import Limits
+
+STORY = """\
+0.5 panel go right
+1.5 panel stop
+3.5 panel continue
+8.5 voice go up confidence=0.3
+9.0 gesture go left
+9.3 voice go right
+12.0 voice go left
+12.4 gesture go left
+17.0 panel turn right
+18.5 panel go down
+"""
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Simulated, Path]:
+    """One run of a story on flat ground, recorded."""
+    folder = tmp_path_factory.mktemp("story")
+    script = folder / "story.txt"
+    script.write_text(STORY)
+    record = folder / "story.mcap"
+    with simulated(PLAIN, folder) as sim:
+        arguments = ["run", "--headless", "--pair", "red", "--script", str(script), "--record", str(record)]
+        ran = m3r(*arguments, *sim.vehicles, "--scenario", str(PLAIN))
+        sim.wait("red", mode="LOITER")
+    return ran, sim, record
+
+
+def test_a_story_ends_normally(story: tuple[Ran, Simulated, Path]) -> None:
+    """The contract: strict JSON only, `end` last, exit 0, every object stamped in order."""
+    ran, _, _ = story
+    assert ran.status == 0, ran.told
+    assert ran.events[-1]["event"] == "end"
+    assert ran.events[-1]["reason"] == "inputs_played"
+    assert ran.events[-1]["violations"] == 0
+    assert all(a["t"] <= b["t"] for a, b in pairwise(ran.events))
+
+
+def test_every_maneuver_request_gets_exactly_one_final_decision(story: tuple[Ran, Simulated, Path]) -> None:
+    """The contract; STOP gets none."""
+    ran, _, _ = story
+    asked = {e["id"] for e in ran.of("request") if e["command"] != "stop"}
+    decided = [e["request"] for e in ran.of("decision") if e["verdict"] != "delayed"]
+    assert sorted(decided) == sorted(asked)
+    verdicts = ran.verdicts()
+    assert verdicts["script-1"] == "approved"
+    assert verdicts["script-3"] == "approved"  # continue: what stop left
+    assert verdicts["script-4"] == "rejected"  # confidence 0.3
+    assert verdicts["script-6"] == "rejected"  # contradicts the gesture
+    assert verdicts["script-7"] == "approved"
+    assert "script-8" not in verdicts  # it confirmed script-7 and never flies twice
+
+
+def test_a_low_confidence_request_is_blocked_and_says_why(story: tuple[Ran, Simulated, Path]) -> None:
+    """The paper's temporal property: detected with low confidence, so the next state is Blocked."""
+    ran, _, _ = story
+    decision = ran.of("decision", request="script-4")[0]
+    failing = [f for f in decision["findings"] if not f["passed"]]
+    assert [f["constraint"] for f in failing] == ["input_confidence"]
+    states = [e["state"] for e in ran.of("mode")]
+    after = {b for a, b in pairwise(states) if a == "ManeuverRequestDetected"}
+    assert after == {"Blocked", "ManeuverRequestValidated"}
+
+
+def test_stop_ends_the_motion_and_continue_takes_up_the_rest(story: tuple[Ran, Simulated, Path]) -> None:
+    """X4, X12."""
+    ran, _, _ = story
+    aborted = ran.of("motion", request="script-1", status="aborted")[0]
+    decision = ran.of("decision", request="script-3")[0]
+    gone_m = math.hypot(*aborted["displacement_enu_m"])
+    assert decision["requested_m"] == pytest.approx(1.0 - gone_m, abs=0.05)
+
+
+def test_the_measured_motion_is_the_true_motion(story: tuple[Ran, Simulated, Path]) -> None:
+    """Bounds hold on the true state: speed, turn rate, displacement."""
+    ran, sim, _ = story
+    states = sim.states("red")
+    limits = Limits()
+    assert max(math.hypot(*s["velocity_m_s"]) for s in states) <= limits.speed_m_s + 0.1
+    rates = [
+        abs(math.remainder(b["yaw_deg"] - a["yaw_deg"], 360.0)) / (b["t"] - a["t"])
+        for a, b in zip(states[::25], states[25::25], strict=False)
+        if b["t"] > a["t"]
+    ]
+    assert max(rates) <= limits.yaw_rate_deg_s + 2.0
+    left = ran.of("motion", request="script-7", status="completed")[0]
+    assert left["displacement_enu_m"][0] == pytest.approx(-1.0, abs=0.15)
+    assert left["max_speed_m_s"] <= limits.speed_m_s + limits.speed_tolerance_m_s
+
+
+def test_an_interrupted_turn_is_followed_by_facing_the_operator(story: tuple[Ran, Simulated, Path]) -> None:
+    """Design 13: the nose is on the operator again when the next plan has been flown."""
+    ran, sim, _ = story
+    assert ran.of("motion", request="script-9", status="aborted")
+    assert ran.of("motion", request="script-10", status="completed")
+    last = sim.last("red")
+    bearing_deg = math.degrees(math.atan2(-last["ned_m"][1], -last["ned_m"][0]))
+    assert abs(math.remainder(last["yaw_deg"] - bearing_deg, 360.0)) < 10.0
+
+
+def test_the_drone_is_left_in_hold(story: tuple[Ran, Simulated, Path]) -> None:
+    """Contract, design 15."""
+    ran, sim, _ = story
+    assert ran.of("pair", status="released")
+    assert sim.last("red")["mode"] == "LOITER"
+    assert sim.last("red")["armed"]
+
+
+def test_the_record_holds_all_of_it(story: tuple[Ran, Simulated, Path]) -> None:
+    """Inputs, decisions with findings, setpoints, telemetry, modes."""
+    ran, _, record = story
+    assert read_header(record).complete
+    topics: dict[str, int] = {}
+    for topic, _, _ in read_record(record):
+        topics[topic] = topics.get(topic, 0) + 1
+    assert topics["decision"] == len(ran.of("decision"))
+    assert topics["mode"] == len(ran.of("mode"))
+    flown_s = ran.events[-1]["t"] - ran.of("pair", status="confirmed")[0]["t"]
+    assert topics["setpoint"] > 40 * flown_s
+    assert topics["telemetry"] > 30 * flown_s
+    assert {"input", "plan", "neighbours", "end"} <= topics.keys()
+
+
+# ---------------------------------------------------------------- ends that nobody wishes for
+
+LONG = "0.2 panel turn right\n60 panel go left\n"
+
+
+def test_ctrl_c_in_mid_maneuver_holds_and_exits_130(tmp_path: Path) -> None:
+    """Contract: Hold, record closed and readable, exit 130."""
+    record = tmp_path / "r.mcap"
+    with simulated(PLAIN, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--pair", "red", "--script", "-", "--record", str(record), *sim.vehicles]
+            + ["--scenario", str(PLAIN)],
+            stdin=LONG,
+        )
+        app.until("motion", status="started")
+        app.process.send_signal(signal.SIGINT)
+        ran = app.finish()
+        assert ran.status == 130
+        assert ran.events[-1]["reason"] == "interrupted"
+        assert ran.of("motion", status="aborted")
+        sim.wait("red", mode="LOITER")
+        assert sim.last("red")["armed"]
+    assert read_header(record).complete
+    assert "Traceback" not in ran.told
+
+
+def test_a_killed_app_goes_no_further_than_its_step(tmp_path: Path) -> None:
+    """X7: setpoints stop, the autopilot's own failsafe holds; the record is readable up to the kill."""
+    record = tmp_path / "r.mcap"
+    with simulated(PLAIN, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--pair", "red", "--script", "-", "--record", str(record), *sim.vehicles]
+            + ["--scenario", str(PLAIN)],
+            stdin="0.2 panel go left\n60 panel go left\n",
+        )
+        app.until("motion", status="started")
+        start = sim.last("red")
+        app.process.kill()
+        app.process.communicate()
+        sim.wait("red", mode="LOITER")
+        end = sim.last("red")
+        assert math.dist(start["ned_m"], end["ned_m"]) <= Limits().lateral_step_m + 0.3
+    assert not read_header(record).complete
+    assert any(topic == "telemetry" for topic, _, _ in read_record(record))
+
+
+def test_a_frozen_app_is_ended_and_the_drone_holds(tmp_path: Path) -> None:
+    """X7: the interpreter itself stuck (here: stopped); the outer guard ends it, the autopilot's failsafe holds."""
+    with simulated(PLAIN, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            stdin=LONG,
+        )
+        app.until("motion", status="started")
+        os.kill(app.process.pid, signal.SIGSTOP)
+        app.process.wait(10.0)
+        assert app.process.returncode == -signal.SIGKILL
+        sim.wait("red", mode="LOITER")
+
+
+def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
+    """X3: another ground station lands the drone; nothing of ours brings it back."""
+    with simulated(PLAIN, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            stdin="0.2 panel turn right\n4 panel stop\n5 panel go left\n",
+        )
+        app.until("motion", status="started")
+        other = mavutil.mavlink_connection(sim.also["red"].replace("udpout://", "udpout:"), source_system=250)
+        other.mav.command_long_send(1, 1, mavutil.mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 6, 0, 0, 0, 0)
+        released = app.until("pair", status="released")
+        assert "taken over" in released["reasons"][0]
+        ran = app.finish()
+        assert sim.last("red")["mode"] == "LAND"
+        assert ran.verdicts()["script-3"] == "rejected"
+        assert [f["constraint"] for f in ran.of("decision", request="script-3")[0]["findings"]] == ["paired"]
+        other.close()
+
+
+def test_a_vehicle_that_falls_silent_ends_the_run(tmp_path: Path) -> None:
+    """Exit 3, reason vehicle_lost."""
+    with simulated(PLAIN, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            stdin=LONG,
+        )
+        app.until("motion", status="started")
+        os.kill(sim.process.pid, signal.SIGSTOP)
+        try:
+            ran = app.finish()
+        finally:
+            os.kill(sim.process.pid, signal.SIGCONT)
+    assert ran.status == 3
+    assert ran.events[-1]["reason"] == "vehicle_lost"
+    assert ran.of("motion", status="aborted")
+
+
+AIMED = """
+name = "aimed"
+[origin]
+lat_deg = 46.9480
+lon_deg = 7.4474
+ground_amsl_m = 540.0
+[operator]
+lat_deg = 46.9480
+lon_deg = 7.4474
+amsl_m = 540.0
+sigma_m = 0.2
+[terrain]
+flat_amsl_m = 540.0
+sigma_m = 0.1
+[vehicles.red]
+north_m = 14.0
+east_m = 0.0
+height_m = 6.0
+heading_deg = 180.0
+state = "hold"
+params = { COM_OF_LOSS_T = 0.5, COM_OBL_RC_ACT = 5 }
+[traffic.rogue]
+waypoints = [[15.0, -30.0, 6.0], [15.0, 30.0, 6.0]]
+speed_m_s = 3.0
+loop = false
+start_delay_s = 2.0
+"""
+
+
+def test_an_actual_violation_is_told_and_exits_4(tmp_path: Path) -> None:
+    """Somebody flies through the drone's separation while it hovers: nothing of ours, but a violation all the same."""
+    scenario = tmp_path / "aimed.toml"
+    scenario.write_text(AIMED)
+    ran = m3r(
+        "run", "--headless", "--pair", "red", "--script", "-", "--scenario", str(scenario), "--timeout", "40",
+        stdin="25 panel stop\n",
+    )  # fmt: skip
+    assert ran.status == 4, ran.told
+    violation = ran.of("violation", kind="actual")[0]
+    assert "R6" in violation["requirements"]
+    assert violation["margin"] < 0.0
+    assert ran.events[-1]["violations"] >= 1
+
+
+def test_a_drone_with_default_failsafes_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    """X8: read back, refused with the list; --apply-failsafe and --takeoff make it fly."""
+    ran = m3r("run", "--headless", "--pair", "blue", "--scenario", str(HILLSIDE))
+    assert ran.status == 3
+    reasons = " ".join(ran.of("pair", status="refused")[0]["reasons"])
+    assert "COM_OBL_RC_ACT" in reasons
+    assert "--apply-failsafe" in reasons
+    assert "not in the air" in reasons
+
+
+def test_apply_failsafe_and_takeoff_make_a_drone_on_the_ground_fit(tmp_path: Path) -> None:
+    """X8, design 12, 15: what was refused above, with the remedy applied; left in Hold at the end."""
+    with simulated(HILLSIDE, tmp_path) as sim:
+        ran = m3r(
+            "run", "--headless", "--pair", "blue", "--apply-failsafe", "--takeoff", "6", "--script", "-", *sim.vehicles,
+            "--scenario", str(HILLSIDE), stdin="0.5 panel go up\n",
+        )  # fmt: skip
+        assert ran.verdicts() == {"script-1": "approved"}, ran.told
+        assert ran.of("motion", status="completed")
+        assert sim.last("blue")["mode"] == "LOITER"
+
+
+# ---------------------------------------------------------------- bad input
+
+BAD: list[tuple[list[str], str]] = [
+    (["--pair", "purple"], "purple"),
+    (["--script", "/nowhere/at/all"], "/nowhere/at/all"),
+    (["--audio", "/nowhere/at/all.wav"], "/nowhere/at/all.wav"),
+    (["--scenario", "/nowhere/at/all.toml"], "/nowhere/at/all.toml"),
+    (["--set", "envelope.speed=1"], "envelope.speed"),
+    (["--set", "envelope.speed_m_s=99"], "envelope.speed_m_s"),
+    (["--config", "/nowhere/at/all.toml"], "/nowhere/at/all.toml"),
+    (["--operator", "95,0,0"], "95"),
+    (["--timeout", "-1"], "-1"),
+    (["--nonsense"], "--nonsense"),
+    (["--record", "/nowhere/at/all.mcap"], "/nowhere/at/all.mcap"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "named"), BAD, ids=[" ".join(a) for a, _ in BAD])
+def test_bad_input_is_one_sentence_that_names_it(arguments: list[str], named: str) -> None:
+    """Exit 2, no traceback, nothing flown."""
+    ran = m3r("run", "--headless", *arguments)
+    assert ran.status == 2
+    sentences = [line for line in ran.told.splitlines() if line.startswith("m3r: ")]
+    assert len(sentences) == 1, ran.told
+    assert named in sentences[0]
+    assert "Traceback" not in ran.told
+
+
+def test_a_vehicle_that_never_answers_is_exit_3() -> None:
+    """The link is fine, nobody is there."""
+    from m3r_app.fleet import free_udp_block
+
+    url = f"udpin://127.0.0.1:{free_udp_block(1)}"
+    began_s = time.monotonic()
+    ran = m3r("run", "--headless", "--pair", "red", "--vehicle", f"red={url}", "--set", "pairing.answer_s=1")
+    assert ran.status == 3
+    assert ran.events[-1]["reason"] == "vehicle_lost"
+    assert url in ran.told
+    assert time.monotonic() - began_s < 20.0
+
+
+def test_a_port_that_somebody_holds_is_exit_2(tmp_path: Path) -> None:
+    """MAVSDK would share it silently and lose telemetry."""
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        held.bind(("127.0.0.1", 0))
+        port = held.getsockname()[1]
+        ran = m3r("run", "--headless", "--pair", "red", "--vehicle", f"red=udpin://127.0.0.1:{port}")
+    assert ran.status == 2
+    assert str(port) in ran.told
+
+

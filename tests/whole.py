@@ -1,0 +1,140 @@
+"""The whole app as a user runs it: real processes, real UDP on loopback, the true state beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from m3r_app.fleet import free_udp_block
+
+ROOT = Path(__file__).resolve().parent.parent
+PLAIN = ROOT / "config/scenarios/plain.toml"
+HILLSIDE = ROOT / "config/scenarios/hillside.toml"
+PATIENCE_S = 60.0
+
+
+@dataclass
+class Ran:
+    """One finished run."""
+
+    status: int
+    events: list[dict[str, Any]]
+    told: str
+
+    def of(self, event: str, **fields: object) -> list[dict[str, Any]]:
+        return [e for e in self.events if e["event"] == event and all(e.get(k) == v for k, v in fields.items())]
+
+    def verdicts(self) -> dict[str, str]:
+        """Final verdict by request."""
+        return {e["request"]: e["verdict"] for e in self.of("decision") if e["verdict"] != "delayed"}
+
+
+class App:
+    """A running `m3r`."""
+
+    def __init__(self, arguments: Sequence[str], stdin: str | None = None) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "ui.cli", *arguments],
+            cwd=ROOT,
+            stdin=subprocess.PIPE if stdin is not None else subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        self.events: list[dict[str, Any]] = []
+        if stdin is not None:
+            assert self.process.stdin is not None
+            self.process.stdin.write(stdin)
+            self.process.stdin.close()
+            self.process.stdin = None
+
+    def until(self, event: str, **fields: object) -> dict[str, Any]:
+        """Read the output up to the first such event."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            found = _strict(line)
+            self.events.append(found)
+            if found["event"] == event and all(found.get(k) == v for k, v in fields.items()):
+                return found
+        raise AssertionError(f"no {event} {fields} before the end: {self.process.stderr and self.process.stderr.read()}")
+
+    def finish(self) -> Ran:
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        self.events += [_strict(line) for line in out.splitlines()]
+        return Ran(self.process.returncode, self.events, err)
+
+
+def _strict(line: str) -> dict[str, Any]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON: {line}")
+
+    found = json.loads(line, parse_constant=refuse)
+    assert isinstance(found, dict) and "t" in found and "event" in found, line
+    return found
+
+
+def m3r(*arguments: str, stdin: str | None = None) -> Ran:
+    """Run the command line to its end."""
+    return App(arguments, stdin).finish()
+
+
+@dataclass
+class Simulated:
+    """A running `m3r sim`."""
+
+    process: subprocess.Popen[str]
+    urls: dict[str, str]
+    also: dict[str, str]
+    truth: Path
+    _read: int = field(default=0)
+
+    @property
+    def vehicles(self) -> list[str]:
+        """--vehicle options for everybody in it."""
+        return ["--vehicle", *(f"{name}={url}" for name, url in self.urls.items())]
+
+    def states(self, vehicle: str) -> list[dict[str, Any]]:
+        """The true states so far."""
+        lines = self.truth.read_text().splitlines()
+        found = [json.loads(line) for line in lines if line.endswith("}")]
+        return [state for state in found if state["vehicle"] == vehicle]
+
+    def last(self, vehicle: str) -> dict[str, Any]:
+        return self.states(vehicle)[-1]
+
+    def wait(self, vehicle: str, **fields: object) -> dict[str, Any]:
+        """Until the true state has these fields."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            state = self.last(vehicle)
+            if all(state[k] == v for k, v in fields.items()):
+                return state
+            self.process.poll()
+            time.sleep(0.05)
+        raise AssertionError(f"{vehicle} never had {fields}: {self.last(vehicle)}")
+
+
+@contextmanager
+def simulated(scenario: Path, tmp_path: Path) -> Iterator[Simulated]:
+    """The simulated fleet as a process of its own, its truth written down."""
+    truth = tmp_path / "truth.jsonl"
+    command = [sys.executable, "-m", "m3r_app.sim", "--scenario", str(scenario), "--truth", str(truth)]
+    command += ["--port-base", str(free_udp_block(6))]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        urls = {**ready["vehicles"], **ready["traffic"]}
+        yield Simulated(process, urls, ready["also"], truth)
+    finally:
+        process.terminate()
+        process.wait(PATIENCE_S)
