@@ -38,10 +38,10 @@ models: setup
 
 demo: setup
 	@if $(BIN)/m3r models fetch; then \
-		$(BIN)/m3r run --pair red --audio demo/requests.wav; \
+		$(BIN)/m3r run --pair red --audio config/demo/operator.ogg; \
 	else \
 		echo "No voice model can be had, so the same story is flown from scripted buttons."; \
-		$(BIN)/m3r run --pair red --script demo/requests.txt; \
+		$(BIN)/m3r run --pair red --script config/demo/operator.script; \
 	fi
 
 test: setup
