@@ -5,6 +5,7 @@ Grants carry rising fencing numbers and expire by themselves. Source: X10, R5, p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from safety.vocabulary import ReservedVolume
@@ -30,6 +31,8 @@ class LocalAirspace:
     def reserve(self, lease_id: str, volume: ReservedVolume, now_s: float) -> Grant | str:
         """The grant, or one sentence that says who is in the way."""
         self._expire(now_s)
+        if not _is_whole(volume):
+            return "the volume asked for is incomplete"
         for held in self._grants.values():
             if held.volume.holder != volume.holder and volumes_meet(held.volume, volume):
                 return f"{held.volume.holder} holds it for another {held.volume.until_s - now_s:.1f} s"
@@ -49,3 +52,9 @@ class LocalAirspace:
 
     def _expire(self, now_s: float) -> None:
         self._grants = {k: g for k, g in self._grants.items() if g.volume.until_s > now_s}
+
+
+def _is_whole(volume: ReservedVolume) -> bool:
+    """Whether it says where and when (X6): what is no number could neither be kept clear nor expire."""
+    numbers = (volume.radius_m, volume.from_s, volume.until_s)
+    return volume.start.finite and volume.end.finite and all(map(math.isfinite, numbers))

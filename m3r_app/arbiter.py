@@ -39,12 +39,12 @@ from m3r_app.events import (
 )
 from m3r_app.fusion import Relation, fused, relate, remember
 from m3r_app.modes import MODE_OF, Cause, State, next_state
+from safety.confidence import input_confidence
 from safety.frames import bearing_deg, enu, wrap_deg
 from safety.monitor import Breach, watch
-from safety.planner import plan_return
+from safety.planner import full_speed_m_s, plan_return
 from safety.situation import Situation
-from safety.supervisor import Intent, assess, decide, decide_plan, interpret
-from safety.volumes import swept_volume
+from safety.supervisor import FULL_TURN_DEG, Intent, assess, decide, decide_plan, interpret, safe
 from safety.vocabulary import (
     PRIMITIVE_OF,
     Anchor,
@@ -52,13 +52,22 @@ from safety.vocabulary import (
     Decision,
     Finding,
     ManeuverRequest,
+    Modality,
     Ned,
     Plan,
     Primitive,
     VehicleState,
     Verdict,
 )
+from safety.volumes import swept_volume
 
+STOPPED = "the operator said stop"
+STALE_REQUEST_S = 5.0
+"""What was said or shown longer ago than this is asked anew (X6)."""
+ENGAGING_S = 1.0
+"""So long the autopilot may take to enter Offboard and say so."""
+SETTLING_TIMEOUT_S = 10.0
+"""A request that waits for the drone to come to rest is refused after this."""
 REST_M_S = 0.1
 """Slower than this, motion has stopped (design 2)."""
 ARRIVED_M = 0.1
@@ -79,6 +88,8 @@ BACK = Intent(Primitive.RETURN, 0.0)
 def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState, tuple[Effect, ...]]:
     """What becomes of `state` when `event` happens at now_s, and what the shell must do about it. Never raises."""
     run = _Step(state, now_s)
+    if state.authority and isinstance(event, Requested) and event.request.command is Command.STOP:
+        run.do(Hold("stop"))  # X4: before anything else
     if state.state is State.BLOCKED:
         run.go(Cause.TOLD)
     match event:
@@ -95,12 +106,14 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
         case ReservationAnswered():
             run.reservation_answered(event)
         case Stalled():
-            run.drop(Cause.STALLED, event.reason)
+            run.stalled(event.reason)
         case Tick():
             run.tick()
         case Ended() if state.authority:
             run.do(Hold("ended"))
             run.leave(Cause.RELEASED, "hold", event.reason)
+        case Ended():
+            run.call_off_pairing(event.reason)
     return run.state, tuple(run.effects)
 
 
@@ -169,7 +182,8 @@ class _Step:
     def requested(self, event: Requested) -> None:
         request = event.request
         relation, other = Relation.NEW, None
-        if request.command not in (Command.STOP, Command.ACTIVATE, Command.DISCONNECT):
+        late = self.too_late(request)
+        if request.command not in (Command.STOP, Command.ACTIVATE, Command.DISCONNECT) and late is None:
             relation, other = relate(request, self.state.recent, self.state.limits.fusion_window_s)
         if relation is Relation.CONFIRMS and other is not None:
             request = fused(request, other.request, request.id if other.refused else other.request.id)
@@ -189,15 +203,15 @@ class _Step:
         self.count(requests=1)
         match request.command:
             case Command.STOP:
-                self.stop()
-            case Command.ACTIVATE:
-                self.activate(request.colour or "")
-            case Command.DISCONNECT:
-                self.disconnect(request)
+                self.stop(request)
+            case Command.ACTIVATE | Command.DISCONNECT:
+                self.pairing_requested(request)
             case _ if self.state.session is None or self.state.session.anchor is None:
                 self.refuse(request, _unmet("paired", ("P1", "R1"), "no drone is paired"))
+            case _ if late is not None:
+                self.refuse(request, late)
             case _ if relation is Relation.CONFIRMS and other is not None and not other.refused:
-                self.remember(request)  # it confirms what is already decided, flying or flown
+                self.confirm(request)
             case _ if relation is Relation.CONTRADICTS and other is not None:
                 self.contradiction(request, other.request)
             case _:
@@ -207,43 +221,94 @@ class _Step:
         window_s = self.state.limits.fusion_window_s
         self.be(recent=remember(self.state.recent, request, window_s, refused=refused))
 
-    def stop(self) -> None:
-        """X4: hold first, then the rest."""
+    def too_late(self, request: ManeuverRequest) -> Finding | None:
+        """What was asked long ago, or before STOP, is no request of now. Source: X4, X6."""
+        age_s = abs(self.now_s - request.captured_at_s)
+        if not age_s <= STALE_REQUEST_S:
+            old = f"{age_s:.0f} s ago" if math.isfinite(age_s) else "at an unknown time"
+            return _unmet("input_confidence", ("R11", "X6"), f"it was asked {old}; ask again")
+        if request.captured_at_s < self.state.stopped_at_s:
+            return _unmet("contradiction", ("X4",), "it was asked before stop")
+        return None
+
+    def confirm(self, request: ManeuverRequest) -> None:
+        """It confirms what is already decided, flying or flown; what still waits is now asked for by both. Source: X5."""
+        self.remember(request)
+        pending = self.state.pending
+        if pending is not None and pending.id == request.id:
+            self.be(pending=request)
+
+    def stop(self, request: ManeuverRequest) -> None:
+        """X4: the hold has been commanded; now the rest. What was refused before cannot be confirmed after."""
+        # min() keeps its first argument where the second is NaN.
+        stopped_at_s = max(self.state.stopped_at_s, min(self.now_s, request.captured_at_s))
+        self.be(
+            stopped_at_s=stopped_at_s,
+            recent=tuple(r for r in self.state.recent if not r.refused),
+        )
+        if self.state.state in (State.PAIRING, State.FACING):
+            self.call_off_pairing(STOPPED)
+            return
         if not self.state.authority:
             self.tell("nothing to hold, this app has no authority over a drone")
             return
-        self.do(Hold("stop"))
-        self.withdraw("the operator said stop")
+        self.withdraw(STOPPED, "X4")
         self.be(leftover=self.rest_of_flight(), return_at_s=None, may_return=False)
         self.end_flight("aborted")
         if self.can(Cause.STOP):
             self.settle(Cause.STOP)
         self.tell("holding")
 
-    def activate(self, colour: str) -> None:
-        if self.can(Cause.PAIR_REQUESTED):
+    def pairing_requested(self, request: ManeuverRequest) -> None:
+        """ACTIVATE or DISCONNECT, which need confidence as a move does. Source: R11, X6."""
+        found = input_confidence(request, self.state.limits)
+        doubt = found if not found.passed else self.too_late(request)
+        if request.command is Command.ACTIVATE:
+            self.activate(request.colour or "", doubt)
+        elif doubt is not None:
+            self.tell(f"not disconnected, {doubt.text}")
+        else:
+            self.disconnect(request)
+
+    def activate(self, colour: str, doubt: Finding | None = None) -> None:
+        """Ask the shell to pair, unless something is against it."""
+        if doubt is None and self.can(Cause.PAIR_REQUESTED):
+            self.be(pairing=colour, pairing_off=None)
             self.go(Cause.PAIR_REQUESTED)
             self.do(Pair(colour))
-        elif self.state.session is not None:
-            self.tell(f"already paired, so {colour} is not; disconnect first")
+            return
+        session = self.state.session
+        taken = session.colour if session is not None else self.state.pairing
+        if doubt is not None:
+            why = doubt.text
+        elif colour == taken:
+            self.tell("already paired" if session is not None and session.anchor is not None else "already pairing")
+            return
+        else:
+            why = f"{taken} is paired; disconnect it first"
+        self.do(Report("pair", {"vehicle": colour, "status": "refused", "reasons": [why]}))
+        self.do(Announce(f"{colour.capitalize()}: not paired, {why}"))
 
     def disconnect(self, request: ManeuverRequest) -> None:
-        session = self.state.session
-        if session is None or (request.colour not in (None, session.colour)):
-            self.tell(f"{request.colour or 'nothing'} is not paired, so there is nothing to disconnect")
+        session, paired = self.state.session, self.state.pairing
+        if session is not None:
+            paired = session.colour
+        if paired is None or request.colour not in (None, paired):
+            self.tell(f"{request.colour or 'no drone'} is not paired, so there is nothing to disconnect")
+            return
+        if session is None or session.anchor is None:
+            self.call_off_pairing("disconnected before it was paired")
             return
         self.do(Hold("disconnect"))
         self.leave(Cause.RELEASED, self.state.policy.on_disconnect, "disconnected")
 
     def contradiction(self, request: ManeuverRequest, first: ManeuverRequest) -> None:
         """X5: what runs is aborted, both are refused."""
-        why = (
-            f"{request.modality} says {_said(request)} but {first.modality} said {_said(first)}"
-        )
-        running = self.state.flight is not None
-        if running:
+        why = f"{request.modality} says {_said(request)} but {first.modality} said {_said(first)}"
+        if self.state.flight is not None:
             self.do(Hold("contradiction"))
-        self.withdraw(why)
+        self.withdraw(why, "X5")
+        self.be(leftover=None, return_at_s=None, may_return=False)
         self.end_flight("aborted")
         if self.can(Cause.CONTRADICTED):
             self.settle(Cause.CONTRADICTED)
@@ -254,10 +319,10 @@ class _Step:
         self.remember(request)
         if request.command is not Command.CONTINUE:
             self.be(leftover=None)
+        self.withdraw("a newer request came first", "X14")
         if self.state.state in (State.ARMED, State.EMERGENCY_HOLD):
             self.evaluate(request)
             return
-        self.withdraw("a newer request came first")
         if self.state.state in (State.EXECUTING, State.RETURN_TO_ANCHOR):
             self.do(Hold("interrupted"))
             self.end_flight("aborted")
@@ -266,16 +331,16 @@ class _Step:
         self.be(pending=request)
         self.settled_yet()
 
-    def withdraw(self, why: str) -> None:
+    def withdraw(self, why: str, requirement: str) -> None:
         """Whatever waits for its final decision gets it: rejected."""
         deciding, pending = self.state.deciding, self.state.pending
         self.be(deciding=None, pending=None)
         if deciding is not None:
             self.do(Release(deciding.request.id))
             if deciding.request.id != RETURN_ID:
-                self.refuse(deciding.request, _unmet("contradiction", ("X14",), why))
+                self.refuse(deciding.request, _unmet("contradiction", (requirement,), why))
         if pending is not None:
-            self.refuse(pending, _unmet("contradiction", ("X14",), why))
+            self.refuse(pending, _unmet("contradiction", (requirement,), why))
 
     def refuse(self, request: ManeuverRequest, finding: Finding) -> None:
         primitive = PRIMITIVE_OF.get(request.command)
@@ -285,10 +350,9 @@ class _Step:
 
     def evaluate(self, request: ManeuverRequest) -> None:
         """Detected -> validated -> planned, or blocked. Source: paper III-C, III-G."""
+        held = self.state.state is State.EMERGENCY_HOLD
+        asked_back = held and request.command is Command.CONTINUE and self.state.policy.return_to_anchor == "ask"
         self.be(return_at_s=None, may_return=False)
-        if self.state.policy.return_to_anchor == "ask" and request.command is Command.CONTINUE:
-            self.be(may_return=self.state.state is State.EMERGENCY_HOLD)
-        asked_back = self.state.may_return
         self.go(Cause.REQUEST)
         intent = self.intent(request, asked_back=asked_back)
         if isinstance(intent, Finding):
@@ -332,7 +396,7 @@ class _Step:
             self.decided(request, decision)
             self.go(Cause.DELAY)
             deadline_s = self.now_s + self.state.limits.delay_s
-            self.be(deciding=Deciding(request, intent, decision, deadline_s), checked_at_s=self.now_s)
+            self.be(deciding=Deciding(request, intent, decision, deadline_s), rechecked_at_s=self.now_s)
         else:
             self.reserve(request, intent, decision)
 
@@ -347,7 +411,11 @@ class _Step:
         self.do(Reserve(request.id, volume))
 
     def reservation_answered(self, event: ReservationAnswered) -> None:
-        deciding = self.state.deciding
+        deciding, flight = self.state.deciding, self.state.flight
+        if flight is not None and flight.request_id == event.request_id:
+            if event.answer != "granted":
+                self.drop(Cause.STALLED, f"the airspace it had reserved is {event.answer}")
+            return
         if deciding is None or deciding.request.id != event.request_id or deciding.decision.plan is None:
             if event.answer == "granted":
                 self.do(Release(event.request_id))  # nobody waits for it any more
@@ -355,50 +423,67 @@ class _Step:
         if event.answer != "granted":
             self.deny(deciding, event.reason or f"the volume was {event.answer}")
             return
-        situation = self.situation()
-        plan = deciding.decision.plan
-        failing: tuple[Finding, ...] = ()
-        if situation is not None:
-            request = None if deciding.request.id == RETURN_ID else deciding.request
-            findings = assess(plan, request, situation, self.state.limits, self.state.rules)
-            failing = tuple(f for f in findings if not f.passed)
-        if situation is None or failing:
-            self.do(Release(event.request_id))
-            self.turned_down(deciding, replace(deciding.decision, findings=failing))
+        findings = self.revalidate(deciding, deciding.decision.plan)
+        if safe(findings):
+            self.fly(deciding, deciding.decision.plan, findings)
             return
-        self.take_off_on(deciding, plan, situation)
+        self.do(Release(event.request_id))
+        self.turn_down(deciding, findings, Cause.GUARDS_FAILED)
 
-    def take_off_on(self, deciding: Deciding, plan: Plan, situation: Situation) -> None:
+    def revalidate(self, deciding: Deciding, plan: Plan) -> tuple[Finding, ...]:
+        """X10: airspace took its time; is the plan still safe, and the drone still where it starts?"""
+        situation, limits = self.situation(), self.state.limits
+        if situation is None:
+            return (_unmet("localization", ("R11", "X6"), "nothing has been heard from the drone"),)
+        request = None if deciding.request.id == RETURN_ID else deciding.request
+        findings = assess(plan, request, situation, limits, self.state.rules)
+        off_m = situation.vehicle.position.minus(plan.start).norm
+        if off_m <= limits.tracking_m:
+            return findings
+        away = f"the drone is {off_m:.2f} m from where the plan starts"
+        return (*findings, Finding("envelope", ("R8", "X10"), limits.tracking_m - off_m, "m", False, away))
+
+    def fly(self, deciding: Deciding, plan: Plan, findings: tuple[Finding, ...]) -> None:
         """The volume is ours and the plan still safe: fly it."""
-        request_id = deciding.request.id
-        self.be(deciding=None)
-        if request_id == RETURN_ID:
-            self.go(Cause.RETURN_APPROVED)
-        else:
+        request_id, s = deciding.request.id, self.state
+        situation = self.situation()
+        if situation is None:
+            raise RuntimeError("a plan found safe has its situation")
+        self.be(deciding=None, leftover=None)
+        if request_id != RETURN_ID:
             self.decided(deciding.request, deciding.decision)
-            self.go(Cause.RETURN_APPROVED if self.can(Cause.RETURN_APPROVED) else Cause.VOLUME_GRANTED)
-        baseline = {
-            f.constraint: f.margin
-            for f in deciding.decision.granted_findings
-            if f.passed and f.margin is not None and f.margin < 0.0
-        }
+        self.go(Cause.RETURN_APPROVED if plan.primitive is Primitive.RETURN else Cause.VOLUME_GRANTED)
+        mending = {f.constraint for f in findings if f.margin is not None and f.margin < 0.0}
+        seen = watch(situation, plan, 0.0, s.speed_m_s, {}, s.limits, s.rules)
+        baseline = {key: margin for key, margin in seen.negative.items() if key[1] in mending}
         vehicle = situation.vehicle
         self.be(flight=Flight(request_id, plan, self.now_s, vehicle.position, vehicle.yaw_deg, baseline))
         self.do(Fly(plan))
         self.report_motion("started")
 
     def deny(self, deciding: Deciding, reason: str) -> None:
-        finding = _unmet("reservation", ("R5", "X10"), f"the airspace is not ours: {reason}")
-        self.turned_down(deciding, replace(deciding.decision, findings=(finding,)))
+        """The authority says no, or nothing."""
+        denied = _unmet("reservation", ("R5", "X10"), f"the airspace is not ours: {reason}")
+        others = tuple(f for f in deciding.decision.findings if f.constraint != denied.constraint)
+        self.turn_down(deciding, (*others, denied), Cause.VOLUME_DENIED)
 
-    def turned_down(self, deciding: Deciding, decision: Decision) -> None:
+    def turn_down(self, deciding: Deciding, findings: tuple[Finding, ...], cause: Cause) -> None:
+        """What had been approved is rejected after all; the way back is tried again a little later."""
         self.be(deciding=None)
         if deciding.request.id == RETURN_ID:
-            self.be(return_at_s=None)
+            self.be(return_at_s=None, settling_since_s=self.now_s + self.state.limits.delay_s)
+            self.tell(f"not returning yet, {wording.reasons(findings)}")
             return
-        rejected = replace(decision, verdict=Verdict.REJECTED, granted_m=None, plan=None)
-        self.decided(deciding.request, rejected)
-        self.go(Cause.VOLUME_DENIED)
+        decision = replace(
+            deciding.decision,
+            verdict=Verdict.REJECTED,
+            granted_m=None,
+            plan=None,
+            findings=findings,
+            granted_findings=(),
+        )
+        self.decided(deciding.request, decision)
+        self.go(cause)
 
     def decided(self, request: ManeuverRequest, decision: Decision) -> None:
         """Report a decision; a final one is counted."""
@@ -417,24 +502,39 @@ class _Step:
     # ------------------------------------------------------------ pairing
 
     def pairing_answered(self, event: PairingAnswered) -> None:
-        if self.state.state is not State.PAIRING:
+        """The shell has checked: turn to the operator, or refuse. Source: X8, design 12."""
+        if self.state.state is not State.PAIRING or event.colour != self.state.pairing:
             return
-        if event.reasons or event.operator is None or event.world is None:
-            self.refuse_pairing(event.colour, event.reasons or ("the operator's position is unknown",))
+        vehicle, off = self.state.vehicle, self.state.pairing_off
+        reasons = event.reasons if off is None else (off, *event.reasons)
+        if event.operator is None or event.world is None:
+            reasons = reasons or ("the operator's position or what stands around is unknown",)
+        elif vehicle is None or not self.now_s - vehicle.at_s <= self.state.limits.telemetry_age_s:
+            reasons = reasons or ("nothing has been heard from it",)
+        elif not reasons:
+            self.be(session=Session(event.colour, event.operator, event.world, self.now_s), breached=frozenset())
+            self.go(Cause.PAIR_ACCEPTED)
+            self.do(FaceOperator(bearing_deg(vehicle.position, event.operator.position)))
             return
-        vehicle = self.state.vehicle
-        if vehicle is None:
-            self.refuse_pairing(event.colour, ("nothing has been heard from it",))
-            return
-        self.be(session=Session(event.colour, event.operator, event.world, self.now_s), breached=frozenset())
-        self.go(Cause.PAIR_ACCEPTED)
-        self.do(FaceOperator(bearing_deg(vehicle.position, event.operator.position)))
+        # Where the shell found nothing against it, it has taken the drone and must let it go again.
+        self.refuse_pairing(event.colour, reasons, taken=not event.reasons)
 
-    def refuse_pairing(self, colour: str, reasons: tuple[str, ...]) -> None:
+    def call_off_pairing(self, why: str) -> None:
+        """The operator or the end of the run wants no pairing any more: no motion comes of it. Source: X4."""
+        session = self.state.session
+        if self.state.state is State.PAIRING:
+            self.be(pairing_off=why)
+            self.tell(f"not pairing, {why}")
+        elif session is not None and self.state.state is State.FACING:
+            self.refuse_pairing(session.colour, (why,), taken=True)
+
+    def refuse_pairing(self, colour: str, reasons: tuple[str, ...], *, taken: bool) -> None:
+        """taken: the drone has been taken for it, and is left in Hold."""
         self.do(Report("pair", {"vehicle": colour, "status": "refused", "reasons": list(reasons)}))
         self.do(Announce(f"{colour.capitalize()}: not paired, {'; '.join(reasons)}"))
-        if self.state.session is not None:
-            self.be(session=None)
+        self.be(session=None, pairing=None, pairing_off=None)
+        if taken:
+            self.be(vehicle=None)
             self.do(LetGo("hold"))
         self.go(Cause.PAIR_REFUSED)
 
@@ -442,12 +542,7 @@ class _Step:
         """P1: Armed only after pairing, and pairing only once the nose is on the operator."""
         session = self.session
         off_deg = abs(wrap_deg(bearing_deg(vehicle.position, session.operator.position) - vehicle.yaw_deg))
-        if off_deg > FACING_TOLERANCE_DEG or self.state.speed_m_s > REST_M_S:
-            if self.now_s - session.accepted_at_s > FACING_TIMEOUT_S:
-                self.refuse_pairing(
-                    session.colour,
-                    (f"it did not come to rest facing the operator within {FACING_TIMEOUT_S:.0f} s ({off_deg:.0f} deg off)",),
-                )
+        if not (off_deg <= FACING_TOLERANCE_DEG and self.at_rest(vehicle)):
             return
         anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
         self.be(session=replace(session, anchor=anchor, centre=vehicle.position, paired_at_s=self.now_s))
@@ -458,14 +553,15 @@ class _Step:
     def leave(self, cause: Cause, command: str, why: str) -> None:
         """The session ends: nothing of it is left to fly."""
         session = self.session
-        self.withdraw(why)
+        self.withdraw(why, "X3")
         self.end_flight("aborted")
         self.tell(why)
         confirmed = session.anchor is not None
         self.go(cause)
         status = "released" if confirmed else "refused"
         self.do(Report("pair", {"vehicle": session.colour, "status": status, "reasons": [why]}))
-        self.be(session=None, leftover=None, recent=(), return_at_s=None, may_return=False, breached=frozenset())
+        self.be(session=None, pairing=None, vehicle=None, leftover=None, recent=())
+        self.be(return_at_s=None, may_return=False, breached=frozenset())
         self.do(LetGo(command))  # type: ignore[arg-type]
 
     # ------------------------------------------------------------ time and telemetry
@@ -477,6 +573,7 @@ class _Step:
         return self.state.vehicle
 
     def telemetry(self, vehicle: VehicleState) -> None:
+        """The newest state of the drone: whose it is, then what it means for what goes on."""
         last, speed_m_s = self.state.vehicle, vehicle.velocity.norm
         if last is not None and math.isfinite(self.state.speed_m_s):
             alpha = min(1.0, max(0.0, vehicle.at_s - last.at_s) / SPEED_FILTER_S)
@@ -488,10 +585,17 @@ class _Step:
             self.leave(Cause.AUTHORITY_LOST, "nothing", "it is no longer in the air, so it is let go")
             return
         if vehicle.flight_mode not in OURS:
-            why = f"somebody else has taken over ({vehicle.flight_mode}); pair again to go on"
+            unknown = vehicle.flight_mode == "UNKNOWN"
+            who = (
+                "its flight mode is not told any more" if unknown else f"somebody else flies it ({vehicle.flight_mode})"
+            )
+            why = f"{who}; pair again to go on"
             self.leave(Cause.AUTHORITY_LOST, "nothing", why)
             return
-        if self.state.flight is not None and vehicle.flight_mode != "OFFBOARD":
+        flight, limits = self.state.flight, self.state.limits
+        if flight is not None and last is not None and not vehicle.at_s - last.at_s <= limits.telemetry_age_s:
+            self.drop(Cause.STALLED, "nothing was heard from it for a moment")
+        elif flight is not None and vehicle.flight_mode != "OFFBOARD" and self.now_s - flight.started_at_s > ENGAGING_S:
             self.drop(Cause.STALLED, f"the autopilot left offboard for {vehicle.flight_mode}")
         match self.state.state:
             case State.FACING:
@@ -509,9 +613,20 @@ class _Step:
         self.recheck()
 
     def tick(self) -> None:
+        """What must happen by now although nothing else has."""
         vehicle, limits = self.state.vehicle, self.state.limits
-        if self.state.flight is not None and (vehicle is None or self.now_s - vehicle.at_s > limits.telemetry_age_s):
+        fresh = vehicle is not None and self.now_s - vehicle.at_s <= limits.telemetry_age_s
+        if self.state.flight is not None and not fresh:
             self.drop(Cause.STALLED, "nothing was heard from it for a moment")
+        session = self.state.session
+        facing_s = self.now_s - session.accepted_at_s if session is not None else 0.0
+        if self.state.state is State.FACING and session is not None and facing_s > FACING_TIMEOUT_S:
+            why = f"it did not come to rest facing the operator within {FACING_TIMEOUT_S:.0f} s"
+            self.refuse_pairing(session.colour, (why,), taken=True)
+        pending = self.state.pending
+        if pending is not None and self.now_s - self.state.settling_since_s > SETTLING_TIMEOUT_S:
+            self.be(pending=None)
+            self.refuse(pending, _unmet("envelope", ("R8",), f"it has not come to rest for {SETTLING_TIMEOUT_S:.0f} s"))
         deciding = self.state.deciding
         if deciding is not None and self.state.state is not State.DELAYED and self.now_s > deciding.deadline_s:
             self.do(Release(deciding.request.id))
@@ -525,9 +640,9 @@ class _Step:
             return
         over = self.now_s >= deciding.deadline_s
         situation = self.situation()
-        if situation is None or (not over and self.now_s - self.state.checked_at_s < RECHECK_S):
+        if situation is None or (not over and self.now_s - self.state.rechecked_at_s < RECHECK_S):
             return
-        self.be(checked_at_s=self.now_s)
+        self.be(rechecked_at_s=self.now_s)
         if not over:
             again = decide(
                 deciding.request,
@@ -553,7 +668,7 @@ class _Step:
         fresh = vehicle is not None and vehicle.at_s >= self.state.settling_since_s
         if self.state.state is not State.SETTLING or vehicle is None or not fresh:
             return
-        if max(self.state.speed_m_s, vehicle.velocity.norm) >= REST_M_S:
+        if not (self.at_rest(vehicle) and vehicle.velocity.norm < REST_M_S):
             return
         self.anchor_here(vehicle)
         self.go(Cause.SETTLED)
@@ -561,6 +676,10 @@ class _Step:
         if pending is not None:
             self.be(pending=None)
             self.evaluate(pending)
+
+    def at_rest(self, vehicle: VehicleState) -> bool:
+        """Whether motion has stopped at a known place (design 2)."""
+        return self.state.speed_m_s < REST_M_S and vehicle.position.finite and math.isfinite(vehicle.yaw_deg)
 
     def anchor_here(self, vehicle: VehicleState) -> None:
         anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
@@ -632,22 +751,23 @@ class _Step:
             self.emergency(aborts, news)
             return False
         for breach in news:
-            self.report_violation(breach, "none, it is already mended by the plan" if flight else "hold")
+            self.report_violation(breach, "none, the plan mends it" if flight else "hold")
             self.tell(breach.text)
         return True
 
     def emergency(self, aborts: list[Breach], news: list[Breach]) -> None:
-        """R10: hold now, keep the anchor."""
+        """R10: hold now, keep the anchor. One way back by itself: if that fails too, somebody must ask for the next move."""
         self.do(Hold("violation"))
+        policy = self.state.policy.return_to_anchor
+        outward = self.state.state is State.EXECUTING
         for breach in aborts:
             if breach.kind == "predicted" or breach in news:
                 self.report_violation(breach, "abort")
         self.end_flight("aborted")
         self.go(Cause.VIOLATION)
-        self.be(return_at_s=None, may_return=self.state.policy.return_to_anchor != "never", checked_at_s=self.now_s)
+        self.be(return_at_s=None, may_return=policy == "auto" and outward, checked_at_s=self.now_s)
         self.tell("holding, " + "; ".join(dict.fromkeys(b.text for b in aborts)))
-        if self.state.policy.return_to_anchor == "ask":
-            self.be(may_return=False)
+        if policy == "ask":
             self.tell("say continue to return to the anchor")
 
     def way_back(self) -> None:
@@ -655,7 +775,7 @@ class _Step:
         situation = self.situation()
         if not self.state.may_return or self.state.deciding is not None or situation is None:
             return
-        if self.state.speed_m_s >= REST_M_S or self.now_s - self.state.settling_since_s < RECHECK_S:
+        if not self.at_rest(situation.vehicle) or self.now_s - self.state.settling_since_s < RECHECK_S:
             return
         self.be(settling_since_s=self.now_s)
         anchor = self.session.anchor
@@ -670,10 +790,19 @@ class _Step:
             self.be(return_at_s=self.now_s + limits.return_after_s)
             self.tell(f"returning to the anchor in {limits.return_after_s:.0f} seconds")
         elif self.now_s >= self.state.return_at_s:
-            request = ManeuverRequest(RETURN_ID, Command.CONTINUE, "panel", 1.0, self.now_s, self.now_s)  # type: ignore[arg-type]
+            # Nobody asks for it: the request only carries its id to the airspace authority and back.
+            request = ManeuverRequest(RETURN_ID, Command.CONTINUE, Modality.PANEL, 1.0, self.now_s, self.now_s)
             self.be(deciding=Deciding(request, BACK, decision, self.now_s + RESERVATION_TIMEOUT_S))
             volume = swept_volume(plan, self.session.colour, vehicle.sigma_m, self.now_s, limits)
             self.do(Reserve(RETURN_ID, volume))
+
+    def stalled(self, why: str) -> None:
+        """The guard, the controller or the vehicle could not do what was ordered. Source: X7."""
+        if self.state.state is State.FACING:
+            self.do(Hold("stalled"))
+            self.call_off_pairing(why)
+        else:
+            self.drop(Cause.STALLED, why)
 
     def drop(self, cause: Cause, why: str) -> None:
         """After any stall or link gap the rest of a plan is dropped and asked for anew. Source: X7."""
@@ -687,15 +816,21 @@ class _Step:
     def rest_of_flight(self) -> Leftover | None:
         """What the plan being flown still had to go, by what was measured."""
         flight, vehicle = self.state.flight, self.state.vehicle
-        if flight is None or vehicle is None or flight.request_id == RETURN_ID:
-            return self.state.leftover if self.state.flight is None else None
-        plan = flight.plan
+        if flight is None:
+            return self.state.leftover
+        plan, limits = flight.plan, self.state.limits
+        if vehicle is None or plan.primitive is Primitive.RETURN:
+            return None
         if plan.primitive.is_scan:
-            left = abs(plan.turn_deg) - abs(flight.measured.yaw_deg)
-        else:
-            moved, d = vehicle.position.minus(flight.origin), plan.direction
-            left = plan.length_m - (moved.north * d.north + moved.east * d.east + moved.down * d.down)
-        return Leftover(plan.primitive, left, self.now_s) if left > 0.0 else None
+            turned_deg = math.copysign(flight.measured.yaw_deg, flight.measured.yaw_deg * plan.turn_deg)
+            left, least = min(abs(plan.turn_deg), FULL_TURN_DEG) - turned_deg, FACING_TOLERANCE_DEG
+            return Leftover(plan.primitive, min(left, FULL_TURN_DEG), self.now_s) if left > least else None
+        moved, d = vehicle.position.minus(plan.start), plan.direction
+        left = plan.length_m - (moved.north * d.north + moved.east * d.east + moved.down * d.down)
+        if not left >= limits.shortest_m:
+            return None
+        slowness = full_speed_m_s(plan.primitive, limits) / plan.move.speed
+        return Leftover(plan.primitive, min(left, plan.length_m), self.now_s, slowness)
 
     def end_flight(self, status: str) -> None:
         if self.state.flight is None:

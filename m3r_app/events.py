@@ -9,6 +9,7 @@ from m3r_app.fusion import Remembered
 from m3r_app.modes import MODE_OF, State
 from safety.constraints import RULES, Rule
 from safety.limits import Limits
+from safety.monitor import Baseline
 from safety.situation import World
 from safety.supervisor import Intent
 from safety.vocabulary import (
@@ -215,14 +216,14 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What is being flown. baseline: the margins that were already negative on approval, which may only rise (X13)."""
+    """What is being flown. baseline: the margins that were already negative when it began, which may only rise (X13)."""
 
     request_id: str
     plan: Plan
     started_at_s: float
     origin: Ned
     last_yaw_deg: float
-    baseline: dict[str, float] = field(default_factory=dict)
+    baseline: Baseline = field(default_factory=dict)
     measured: Measured = Measured()
 
 
@@ -267,6 +268,10 @@ class ArbiterState:
     policy: Policy
     rules: tuple[Rule, ...] = RULES
     state: State = State.IDLE
+    pairing: str | None = None
+    """The colour that the shell is checking."""
+    pairing_off: str | None = None
+    """Why it is not wanted any more, whatever the shell finds."""
     session: Session | None = None
     vehicle: VehicleState | None = None
     speed_m_s: float = 0.0
@@ -277,9 +282,15 @@ class ArbiterState:
     deciding: Deciding | None = None
     pending: ManeuverRequest | None = None
     recent: tuple[Remembered, ...] = ()
+    stopped_at_s: float = float("-inf")
+    """When the last STOP was captured: what was asked before it is no new request (X4)."""
     leftover: Leftover | None = None
     settling_since_s: float = 0.0
+    """Also when the way back was last judged."""
     checked_at_s: float = float("-inf")
+    """When the hovering drone was last monitored."""
+    rechecked_at_s: float = float("-inf")
+    """When the delayed request was last judged."""
     return_at_s: float | None = None
     """When the announced way back begins; None: none announced."""
     may_return: bool = False

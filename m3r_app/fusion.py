@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -24,7 +25,9 @@ class Remembered:
     refused: bool = False
 
 
-def relate(request: ManeuverRequest, recent: tuple[Remembered, ...], window_s: float) -> tuple[Relation, Remembered | None]:
+def relate(
+    request: ManeuverRequest, recent: tuple[Remembered, ...], window_s: float
+) -> tuple[Relation, Remembered | None]:
     """How `request` relates to the nearest request of another modality within window_s by capture time."""
     near = [
         r
@@ -41,8 +44,12 @@ def relate(request: ManeuverRequest, recent: tuple[Remembered, ...], window_s: f
 
 
 def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str) -> ManeuverRequest:
-    """Both as one: independent evidence for the same command leaves only the chance that both are wrong."""
-    confidence = 1.0 - (1.0 - request.confidence) * (1.0 - first.confidence)
+    """Both as one: independent evidence for the same command leaves only the chance that both are wrong.
+
+    A confidence outside [0, 1] is none, and nor is what is made of it: NaN.
+    """
+    known = 0.0 <= request.confidence <= 1.0 and 0.0 <= first.confidence <= 1.0
+    confidence = 1.0 - (1.0 - request.confidence) * (1.0 - first.confidence) if known else math.nan
     return replace(
         request,
         id=request_id,

@@ -85,7 +85,6 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     (S.IDLE, C.PAIR_REQUESTED): S.PAIRING,
     (S.PAIRING, C.PAIR_REFUSED): S.IDLE,
     (S.PAIRING, C.PAIR_ACCEPTED): S.FACING,
-    (S.PAIRING, C.RELEASED): S.IDLE,
     (S.FACING, C.FACING_OPERATOR): S.ARMED,
     (S.FACING, C.PAIR_REFUSED): S.IDLE,
     # Request, validate, plan: the paper's list
@@ -98,6 +97,7 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     (S.DELAYED, C.DELAY_OVER): S.VALIDATED,
     (S.DELAYED, C.INTERRUPTED): S.SETTLING,
     (S.PLANNED, C.VOLUME_GRANTED): S.EXECUTING,
+    (S.PLANNED, C.RETURN_APPROVED): S.RETURN_TO_ANCHOR,
     (S.PLANNED, C.VOLUME_DENIED): S.BLOCKED,
     (S.PLANNED, C.GUARDS_FAILED): S.BLOCKED,
     (S.PLANNED, C.INTERRUPTED): S.SETTLING,
@@ -121,7 +121,7 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     # STOP holds in every paired state; in EmergencyHold it already does, and cancels the way back: X4
     **{(s, C.STOP): S.SETTLING for s in _AT_REST_OR_DECIDING},
     (S.EMERGENCY_HOLD, C.STOP): S.EMERGENCY_HOLD,
-    **{(s, C.CONTRADICTED): S.SETTLING for s in (S.DELAYED, S.PLANNED, S.SETTLING)},
+    **{(s, C.CONTRADICTED): S.SETTLING for s in (S.DELAYED, S.PLANNED, S.SETTLING, S.RETURN_TO_ANCHOR)},
     # The end of a session: X3, design 4, 15
     **{(s, C.RELEASED): S.IDLE for s in _PAIRED},
     **{(s, C.AUTHORITY_LOST): S.IDLE for s in _PAIRED},
@@ -134,17 +134,33 @@ def next_state(state: State, cause: Cause) -> State | None:
 
 
 def mermaid() -> str:
-    """The table as a Mermaid state diagram, the fine states inside their modes."""
-    lines = ["stateDiagram-v2", f"    [*] --> {State.IDLE}"]
-    for mode in Mode:
-        inner = [s for s in State if MODE_OF[s] is mode]
-        if inner == [State(mode.value)] if mode.value in set(State) else False:
-            continue
-        lines.append(f"    state {mode} {{")
-        lines += [f"        {s}" for s in inner]
-        lines.append("    }")
-    arrows: dict[tuple[State, State], list[str]] = {}
+    """The table as a Mermaid state diagram. What leads out of a mode from every state of it is one arrow from the mode.
+
+    Mermaid cannot draw arrows between inner states of two composite states, so only Armed, which has most, is drawn as
+    one; the other states carry the name of their mode.
+    """
+    lines = ["stateDiagram-v2", f"    [*] --> {State.IDLE}", f"    state {_COMPOSITE} {{"]
+    lines += [f"        {state}" for state in State if MODE_OF[state] is _COMPOSITE]
+    lines.append("    }")
+    lines += [
+        f'    state "{state} ({mode})" as {state}'
+        for state, mode in MODE_OF.items()
+        if mode is not _COMPOSITE and state.value != mode.value
+    ]
+    arrows: dict[tuple[str, State], list[str]] = {}
     for (state, cause), to in TRANSITIONS.items():
-        arrows.setdefault((state, to), []).append(cause.value)
-    lines += [f"    {a} --> {b} : {', '.join(causes)}" for (a, b), causes in arrows.items()]
+        source = _COMPOSITE.value if _leaves_composite(state, cause, to) else state.value
+        causes = arrows.setdefault((source, to), [])
+        if cause.value not in causes:
+            causes.append(cause.value)
+    lines += [f"    {source} --> {to} : {', '.join(causes)}" for (source, to), causes in arrows.items()]
     return "\n".join(lines)
+
+
+_COMPOSITE = Mode.ARMED
+
+
+def _leaves_composite(state: State, cause: Cause, to: State) -> bool:
+    """Whether all states of the composite mode have this transition, which leads out of it."""
+    inner = [s for s in State if MODE_OF[s] is _COMPOSITE]
+    return state in inner and to not in inner and all(TRANSITIONS.get((s, cause)) is to for s in inner)

@@ -88,6 +88,8 @@ class MotionController:
         self._last: tuple[Ned, float] | None = None
         self._since_s = 0.0
         self._order = 0
+        self._epoch = 0
+        """Rises whenever Offboard is left, so that an entry under way then is none of ours any more."""
         self._mode_lock = asyncio.Lock()
         self.engaged = False
         """Whether we stream in Offboard."""
@@ -117,17 +119,20 @@ class MotionController:
     def disengaged(self) -> None:
         """The autopilot is no longer in Offboard: what was flown is over, the next order enters it anew."""
         self._order += 1
+        self._epoch += 1
         self._task = self._last = None
         self.engaged = False
 
     async def _take(self, make: Callable[[], _Hover | _Flight | None]) -> None:
         self._order += 1
-        order = self._order
+        order, epoch = self._order, self._epoch
         async with self._mode_lock:
             if order != self._order:
                 return  # overtaken by a hold or a newer order meanwhile
             if not self.engaged:
                 await self._autopilot.enter_offboard()
+                if epoch != self._epoch:
+                    return  # let go meanwhile: whoever let go commands what comes next
                 self.engaged = True
         if order == self._order:
             self._start(make())

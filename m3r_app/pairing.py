@@ -25,11 +25,17 @@ class PairingLimits:
 
 
 def objections(
-    telemetry: Telemetry, frame: LocalFrame, operator: Operator, world: World, limits: Limits, pairing: PairingLimits, now_s: float
+    telemetry: Telemetry,
+    frame: LocalFrame,
+    operator: Operator,
+    world: World,
+    limits: Limits,
+    pairing: PairingLimits,
+    now_s: float,
 ) -> tuple[str, ...]:
     """Everything that forbids pairing, each one sentence; empty: it may be paired (failsafe parameters aside)."""
     found: list[str] = []
-    if telemetry.age_s(now_s) > limits.telemetry_age_s:
+    if not telemetry.age_s(now_s) <= limits.telemetry_age_s:
         found.append("its telemetry is missing or stale")
     if not telemetry.healthy:
         found.append(f"it is not healthy: {', '.join(telemetry.unhealthy) or 'no reason given'}")
@@ -48,7 +54,9 @@ def objections(
     else:
         terrain = confidence_of(world.terrain.sigma_m, limits.terrain_half_m)
         if not terrain >= limits.terrain_confidence_min:
-            found.append(f"the terrain model's confidence is {_shown(terrain)}, {limits.terrain_confidence_min:.2f} is needed")
+            found.append(
+                f"the terrain model's confidence is {_shown(terrain)}, {limits.terrain_confidence_min:.2f} is needed"
+            )
     return tuple(found)
 
 
@@ -59,7 +67,7 @@ def _distance(
         return ["its position is unknown"]
     away = frame.ned(place).minus(operator.position)
     found = []
-    if away.norm > pairing.range_m:
+    if not away.norm <= pairing.range_m:
         found.append(f"it is {away.norm:.0f} m away, more than {pairing.range_m:.0f} m")
     needed_m = limits.standoff_m + limits.sigma_k * operator.sigma_m
     if not away.horizontal >= needed_m:

@@ -17,6 +17,9 @@ WORD_OF: dict[Primitive, str] = {
 }
 
 
+MOVES = frozenset({"left", "right", "forward", "back", "up", "down"})
+
+
 def reasons(findings: tuple[Finding, ...]) -> str:
     """The sentences of all failing findings, joined."""
     return "; ".join(f.text for f in findings if not f.passed)
@@ -26,6 +29,9 @@ def decided(colour: str, what: str, decision: Decision) -> str:
     """A decision as the operator hears it."""
     name = colour.capitalize()
     why = reasons(decision.findings)
+    if decision.primitive is Primitive.RETURN:
+        what = WORD_OF[Primitive.RETURN]
+    go = "go " if what in MOVES else ""
     match decision.verdict:
         case Verdict.APPROVED:
             metres = "" if decision.granted_m is None else f" {decision.granted_m:.2f} m"
@@ -37,4 +43,4 @@ def decided(colour: str, what: str, decision: Decision) -> str:
         case Verdict.REPLACED:
             return f"{name}: not {what} as asked, {why}; say continue to fly it slower"
         case _:
-            return f"{name}: cannot go {what}, {why}" if not what.startswith("turn") else f"{name}: cannot {what}, {why}"
+            return f"{name}: cannot {go}{what}, {why}"

@@ -20,7 +20,7 @@ class Contract:
     postconditions: tuple[str, ...]
 
 
-PRECONDITIONS = ("authority", "input_confidence", "localization", "terrain_confidence", "neighbour_age")
+PRECONDITIONS = ("authority", "input_confidence", "localization", "terrain_confidence", "neighbour_age", "reservation")
 """When execution may begin."""
 SPACE = ("terrain_clearance", "agl", "obstacle_clearance", "separation", "workspace", "session", "geofence", "standoff")
 """What the swept path keeps, and the measured state while flying."""

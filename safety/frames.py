@@ -46,7 +46,9 @@ def enu(point: Ned) -> tuple[float, float, float]:
 
 
 def wrap_deg(angle_deg: float) -> float:
-    """The same angle in (-180, 180]."""
+    """The same angle in (-180, 180]; NaN of what is no angle."""
+    if not math.isfinite(angle_deg):
+        return math.nan
     wrapped = math.fmod(angle_deg, 360.0)
     if wrapped > 180.0:
         return wrapped - 360.0

@@ -17,18 +17,29 @@ from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
 from safety.planner import SPACING_M, stopping_m
 from safety.situation import Situation
-from safety.vocabulary import Finding, Path, Plan
+from safety.vocabulary import Finding, Ned, Path, Plan
 
 LOOK_AHEAD_S = 2.0
 """How far ahead neighbours are extrapolated against a drone that is told to hold now."""
 EASE = 0.05
-"""A limit broken from the start may dip by this (m) under its first margin before it counts: estimator noise (X13)."""
+"""A limit broken from the start may dip by this (m) under its first margin before it counts: estimator noise (X13).
+
+A predicted margin may dip by the tube about the path, which was counted against the plan when it was approved.
+"""
+KNOWN = frozenset({"neighbour_age", "localization"})
+"""Not hard limits of their own, but without them nothing can be predicted (R11, X6)."""
+
+
+Kind = Literal["predicted", "actual"]
+Baseline = dict[tuple[Kind, str], float]
+"""By kind and constraint: the margins that were negative when a maneuver began, measured as they are watched (X13)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Breach:
     """A hard constraint that is broken, or will be unless the maneuver is aborted."""
 
-    kind: Literal["predicted", "actual"]
+    kind: Kind
     constraint: str
     requirements: tuple[str, ...]
     margin: float | None
@@ -40,11 +51,15 @@ class Breach:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What one look says. clearance_m: to terrain and obstacles; separation_m: to the nearest aircraft; None: none there."""
+    """What one look says. clearance_m: to terrain and obstacles; separation_m: to the nearest aircraft; None: none there.
+
+    negative: the margins below zero by kind and constraint, which the next look at the same maneuver may find no lower.
+    """
 
     breaches: tuple[Breach, ...]
     clearance_m: float | None
     separation_m: float | None
+    negative: Baseline
 
 
 def watch(
@@ -52,41 +67,50 @@ def watch(
     plan: Plan | None,
     elapsed_s: float,
     speed_m_s: float,
-    baseline: dict[str, float],
+    baseline: Baseline,
     limits: Limits,
     rules: tuple[Rule, ...] = RULES,
 ) -> Watch:
-    """Check every hard constraint on the measured state.
+    """Check every hard constraint on the measured state, and that what they need is known.
 
-    speed_m_s: filtered; elapsed_s: since the plan's start; baseline: margins that were negative on approval, which may
-    only rise (design 8). plan None: hovering.
+    speed_m_s: filtered; elapsed_s: since the plan's start; baseline: margins that were negative when it began, which may
+    only rise (design 8). plan None: hovering, where nothing is predicted. What cannot be judged is a predicted breach.
     """
     ahead = _stopping_path(situation, limits)
     scene = nearby(situation, ahead, limits)
-    monitored = [rule for rule in rules if rule.hard and rule.subject is Subject.PATH]
+    on_path = [rule for rule in rules if rule.subject is Subject.PATH]
+    hard = [rule for rule in on_path if rule.hard]
     bare = _bare(limits)
     vehicle = situation.vehicle
     here = Path(np.array([vehicle.position]), np.zeros(1))
-    now = [rule.check(here, scene, bare) for rule in monitored]
-    breaches = [_breach("actual", f, baseline) for f in now if _negative(f)]
+    estimate = replace(scene, vehicle=replace(vehicle, sigma_h_m=0.0, sigma_v_m=0.0))
+    now = [rule.check(here, estimate, bare) for rule in hard]
+    found: list[tuple[Kind, Finding]] = [("actual", f) for f in now if f.margin is not None and f.margin < 0.0]
     if plan is not None:
         wary = _wary(limits)
-        for rule in monitored:
-            finding = rule.check(ahead, scene, wary)
-            if _negative(finding):
-                breaches.append(_breach("predicted", finding, baseline))
+        watched = [rule for rule in on_path if rule.hard or rule.name in KNOWN]
+        predicted = [rule.check(ahead, scene, wary) for rule in watched]
+        found += [("predicted", f) for f in predicted if _negative(f)]
+    breaches = [_breach(kind, f, baseline, EASE if kind == "actual" else limits.tracking_m) for kind, f in found]
+    if plan is not None:
         breaches += _envelope(plan, elapsed_s, speed_m_s, situation, limits)
     return Watch(
         tuple(breaches),
-        _least(_distance(now, "terrain_clearance", limits.clearance_m), _distance(now, "obstacle_clearance", limits.obstacle_clearance_m)),
+        _least(
+            _distance(now, "terrain_clearance", limits.clearance_m),
+            _distance(now, "obstacle_clearance", limits.obstacle_clearance_m),
+        ),
         _distance(now, "separation", limits.separation_m),
+        {(kind, f.constraint): f.margin for kind, f in found if f.margin is not None and f.margin < 0.0},
     )
 
 
 @lru_cache(maxsize=8)
 def _bare(limits: Limits) -> Limits:
-    """The limits themselves: no uncertainty, no tube, nothing ahead."""
-    return replace(limits, sigma_k=0.0, tracking_m=0.0, horizon_s=0.0, neighbour_acceleration_m_s2=0.0)
+    """The limits themselves: no uncertainty, no tube, nothing ahead, neighbours flying straight on."""
+    return replace(
+        limits, sigma_k=0.0, tracking_m=0.0, horizon_s=0.0, neighbour_acceleration_m_s2=0.0, neighbour_turn=0.0
+    )
 
 
 @lru_cache(maxsize=8)
@@ -111,18 +135,27 @@ def _stopping_path(situation: Situation, limits: Limits) -> Path:
 
 def _envelope(plan: Plan, elapsed_s: float, speed_m_s: float, situation: Situation, limits: Limits) -> list[Breach]:
     """Speed, duration and distance from the planned line. Source: R8, paper III-B (maximum duration, abort conditions)."""
-    bound_m_s = limits.speed_m_s + limits.speed_tolerance_m_s
+    bound_m_s = plan.move.speed + limits.speed_tolerance_m_s
     moved = situation.vehicle.position.minus(plan.start)
     d = plan.direction
     along_m = moved.north * d.north + moved.east * d.east + moved.down * d.down
-    across_m = math.sqrt(max(0.0, moved.norm**2 - along_m**2))
+    across_m = moved.minus(Ned(*(c * along_m for c in d))).norm
+    beyond_m = along_m - plan.length_m - plan.stop_m
     checks = (
         (bound_m_s - speed_m_s, "m/s", f"it flies {speed_m_s:.2f} m/s, more than {bound_m_s:.2f} m/s"),
         (plan.max_duration_s - elapsed_s, "s", f"the maneuver took longer than {plan.max_duration_s:.1f} s"),
         (limits.tracking_m - across_m, "m", f"it is {across_m:.2f} m off the planned line"),
+        (limits.tracking_m - beyond_m, "m", f"it has flown {beyond_m:.2f} m too far"),
     )
     return [
-        Breach("predicted" if unit != "m/s" else "actual", "envelope", ("R8", "R10"), margin, unit, text)
+        Breach(
+            "actual" if unit == "m/s" and margin < 0.0 else "predicted",
+            "envelope",
+            ("R8", "R9", "R10"),
+            margin,
+            unit,
+            text,
+        )
         for margin, unit, text in checks
         if not margin >= 0.0
     ]
@@ -133,9 +166,9 @@ def _negative(finding: Finding) -> bool:
     return not finding.passed or (finding.margin is not None and finding.margin < 0.0)
 
 
-def _breach(kind: Literal["predicted", "actual"], f: Finding, baseline: dict[str, float]) -> Breach:
-    first = baseline.get(f.constraint)
-    mending = first is not None and f.margin is not None and f.margin >= first - EASE
+def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
+    first = baseline.get((kind, f.constraint))
+    mending = first is not None and f.margin is not None and f.margin >= first - ease
     return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
 
 

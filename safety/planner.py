@@ -11,6 +11,7 @@ from safety.vocabulary import Ned, Path, Plan, Primitive, Profile
 SPACING_M = 0.1
 FACING_DEG = 15.0
 """A nose further off the operator's bearing than this turns before the drone moves."""
+ABOVE_M = 1e-6
 STILL = Ned(0.0, 0.0, 0.0)
 
 
@@ -21,13 +22,24 @@ def full_length_m(primitive: Primitive, limits: Limits) -> float:
     return limits.vertical_step_m if primitive in (Primitive.ASCEND, Primitive.DESCEND) else limits.lateral_step_m
 
 
+def full_speed_m_s(primitive: Primitive, limits: Limits) -> float:
+    """How fast the primitive goes when nothing slows it (m/s). Source: paper table I (down: half)."""
+    return limits.descend_speed_m_s if primitive in (Primitive.DESCEND, Primitive.RETURN) else limits.speed_m_s
+
+
 def stopping_m(speed_m_s: float, limits: Limits) -> float:
     """How far the vehicle coasts when told to hold at this speed: its lag, then braking. Source: X11."""
     return speed_m_s * limits.lag_s + speed_m_s**2 / (2.0 * limits.stop_deceleration_m_s2)
 
 
 def plan_translation(
-    primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, length_m: float, limits: Limits, slowness: float = 1.0
+    primitive: Primitive,
+    start: Ned,
+    yaw_deg: float,
+    operator: Ned,
+    length_m: float,
+    limits: Limits,
+    slowness: float = 1.0,
 ) -> Plan:
     """One straight move of length_m along the operator's direction, ending with the nose on the operator.
 
@@ -35,8 +47,8 @@ def plan_translation(
     direction (the drone straight above the operator).
     """
     direction = operator_direction(primitive, operator, start)
-    speed_m_s = limits.descend_speed_m_s if primitive is Primitive.DESCEND else limits.speed_m_s
-    return _straight(primitive, start, yaw_deg, operator, direction, length_m, speed_m_s / slowness, limits)
+    speed_m_s = full_speed_m_s(primitive, limits) / slowness
+    return _straight(primitive, start, yaw_deg, operator, direction, length_m, speed_m_s, limits)
 
 
 def plan_return(start: Ned, yaw_deg: float, operator: Ned, anchor: Ned, limits: Limits) -> Plan:
@@ -44,22 +56,21 @@ def plan_return(start: Ned, yaw_deg: float, operator: Ned, anchor: Ned, limits: 
     way = anchor.minus(start)
     length_m = way.norm
     direction = Ned(*(c / length_m for c in way)) if length_m > 1e-6 else STILL
-    return _straight(
-        Primitive.RETURN, start, yaw_deg, operator, direction, length_m, limits.descend_speed_m_s, limits
-    )
+    return _straight(Primitive.RETURN, start, yaw_deg, operator, direction, length_m, limits.descend_speed_m_s, limits)
 
 
 def plan_scan(primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, left_deg: float, limits: Limits) -> Plan:
     """One slow rotation of left_deg (360 unless continued), ended on the operator's bearing. Source: X9, design 13.
 
     Left is the operator's left: the nose, which points at the operator, swings to the operator's left (clockwise from
-    above).
+    above). A nose that is away from the operator turns further in the same sense, so that a full rotation stays one.
     """
     sign = 1.0 if primitive is Primitive.SCAN_LEFT else -1.0
-    facing_deg = bearing_deg(start, operator)
-    # The total that ends on the bearing and is nearest to what was asked.
-    turn_deg = sign * left_deg
-    turn_deg += wrap_deg(facing_deg - (yaw_deg + turn_deg))
+    # What must be added, in the sense of the turn, to end on the bearing.
+    further_deg = wrap_deg(sign * (_facing_deg(start, operator, yaw_deg) - yaw_deg) - left_deg)
+    if further_deg < -FACING_DEG:
+        further_deg += 360.0
+    turn_deg = sign * (left_deg + further_deg)
     turn = Profile(abs(turn_deg), limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
     move = Profile(0.0, limits.speed_m_s, limits.acceleration_m_s2)
     return Plan(
@@ -68,13 +79,16 @@ def plan_scan(primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, l
 
 
 def swept(plan: Plan, limits: Limits) -> Path:
-    """The polyline that the rules check: the whole move and the stopping distance beyond its end. Source: X11."""
+    """The polyline that the rules check: the turn before the move, the whole move, the stopping distance. Source: X11."""
     length_m = plan.length_m
     if length_m <= 0.0:
         return Path(np.array([plan.start, plan.start]), np.array([0.0, plan.duration_s]))
     n = max(2, int(np.ceil(length_m / SPACING_M)) + 1)
     covered_m = [length_m * i / (n - 1) for i in range(n)]
     times_s = [plan.move_from_s + plan.move.time_at(s) for s in covered_m]
+    if plan.move_from_s > 0.0:
+        # While the nose turns to the operator the drone hovers at the start, and others fly on.
+        covered_m, times_s = [0.0, *covered_m], [0.0, *times_s]
     if plan.stop_m > 0.0:
         pieces = max(1, int(np.ceil(plan.stop_m / SPACING_M)))
         covered_m += [length_m + plan.stop_m * (i + 1) / pieces for i in range(pieces)]
@@ -96,11 +110,9 @@ def _straight(
 ) -> Plan:
     move = Profile(length_m, speed_m_s, limits.acceleration_m_s2)
     goal = start.plus(Ned(*(c * length_m for c in direction)))
-    # Straight above the operator there is no bearing to face: keep the nose where it is.
-    facing_deg = bearing_deg(goal, operator) if goal.minus(operator).horizontal > 1e-6 else yaw_deg
-    turn_deg = wrap_deg(facing_deg - yaw_deg)
+    turn_deg = wrap_deg(_facing_deg(goal, operator, yaw_deg) - yaw_deg)
     turn = Profile(abs(turn_deg), limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
-    face_first = abs(wrap_deg(bearing_deg(start, operator) - yaw_deg)) > FACING_DEG
+    face_first = abs(wrap_deg(_facing_deg(start, operator, yaw_deg) - yaw_deg)) > FACING_DEG
     nominal_s = max(move.duration_s + (turn.duration_s if face_first else 0.0), turn.duration_s)
     return Plan(
         primitive,
@@ -114,6 +126,11 @@ def _straight(
         _max_duration_s(nominal_s, limits),
         stopping_m(move.peak, limits),
     )
+
+
+def _facing_deg(place: Ned, operator: Ned, yaw_deg: float) -> float:
+    """The bearing of the operator; straight above the operator there is none: the nose stays where it is."""
+    return yaw_deg if place.minus(operator).horizontal <= ABOVE_M else bearing_deg(place, operator)
 
 
 def _max_duration_s(nominal_s: float, limits: Limits) -> float:

@@ -181,9 +181,7 @@ def clears_within(
     path = swept(plan, limits)
     steps = int(limits.delay_s / DELAY_STEP_S)
     # Seen from later on, the same states have aged by nothing but the waiting: what is fresh now stays fresh.
-    return any(
-        rule.check(path, later(situation, (i + 1) * DELAY_STEP_S), limits).passed for i in range(steps)
-    )
+    return any(rule.check(path, later(situation, (i + 1) * DELAY_STEP_S), limits).passed for i in range(steps))
 
 
 def later(situation: Situation, wait_s: float) -> Situation:
@@ -213,4 +211,3 @@ def slower(
 
 def _metres(intent: Intent) -> float | None:
     return None if intent.primitive.is_scan else intent.amount
-

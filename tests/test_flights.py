@@ -49,7 +49,7 @@ def fly_beyond(seed: int) -> tuple[Outcome, float]:
             flight.aircraft = [_swerving(flight.now_s, here)]
         flown = flight.state.flight
         # A plan that is approved only because it mends the separation (X13) may be flown while it does.
-        going_on = flown is not None and "separation" not in flown.baseline
+        going_on = flown is not None and ("actual", "separation") not in flown.baseline
         flying_in_violation = going_on and _true_margin_m(flight, here) < 0.0
         late_s = late_s + DT_S if flying_in_violation else 0.0
         flight.outcome.worst["late_s"] = max(flight.outcome.worst.get("late_s", 0.0), late_s)
