@@ -1,0 +1,38 @@
+"""The voice model that the tests use, where there is one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import vosk
+
+from modalities.models import ModelError, VoiceModel, find_model, voice_model_in
+from modalities.voice import load_model
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED_MODEL = ROOT.parent / "shared" / "models" / "vosk-model-small-en-us-zamia-0.5"
+
+
+def _found() -> VoiceModel | None:
+    if not os.environ.get("M3R_MODELS") and SHARED_MODEL.is_dir():
+        return voice_model_in(SHARED_MODEL, "the shared folder")
+    try:
+        return find_model()
+    except ModelError:
+        return None
+
+
+@pytest.fixture(scope="session")
+def voice_model() -> VoiceModel:
+    """Skips by name where no model is found."""
+    model = _found()
+    if model is None:
+        pytest.skip("no voice model here: run `m3r models fetch` to test recognition")
+    return model
+
+
+@pytest.fixture(scope="session")
+def loaded(voice_model: VoiceModel) -> vosk.Model:
+    return load_model(voice_model.folder)
