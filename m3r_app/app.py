@@ -98,7 +98,8 @@ class _Run:
 
     async def whole(self) -> int:
         """Everything, raced against the interrupt and the time-out; always ends with `end`."""
-        reason, failure = "error", None
+        reason = "error"
+        failure: Exception | None = None
         body = asyncio.create_task(self._body())
         stop = asyncio.create_task(self.interrupted.wait())
         try:
@@ -115,7 +116,7 @@ class _Run:
             reason = "error"
         except VehicleError as error:
             reason, failure = "vehicle_lost", error
-        except Exception as error:  # the end object must come whatever happened
+        except Exception as error:  # noqa: BLE001  (the end object must come whatever happened)
             failure = error
         finally:
             stop.cancel()
@@ -126,23 +127,23 @@ class _Run:
         return self._end(reason, failure, no_vehicle=no_vehicle)
 
     def _end(self, reason: str, failure: Exception | None, *, no_vehicle: bool) -> int:
+        """The last object, the record closed, and the highest status that applies. Raises `failure` if nothing is higher."""
         tally = self.shell.state.tally if self.shell is not None else Tally()
         self.emit("end", {"reason": reason, **plain(tally, lossless=False)})
         if self._recording is not None:
             self._recording.close()
-        if failure is not None:
-            raise failure
         if reason == "interrupted":
             return INTERRUPTED
         if tally.violations:
             return VIOLATED
+        if failure is not None:
+            raise failure
         return NO_VEHICLE if no_vehicle else ENDED
 
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
             setting = await asyncio.to_thread(prepare, self.options)
             inputs = await asyncio.to_thread(open_inputs, self.options, setting.colours)
-            stack.callback(inputs.close)
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
             self._open_record(setting, inputs)
@@ -268,7 +269,11 @@ class _Run:
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
             if shell.state.session is None:
                 raise NoPairing
-        await inputs.play(self.clock(), self.clock, lambda request: shell.inbox.put(request_event(request)))
+        await inputs.play(
+            self.clock,
+            lambda request: shell.inbox.put(request_event(request)),
+            lambda words: self.record("heard", self.clock(), {"modality": "voice", "words": words}),
+        )
         # What was played last has been put into the inbox; wait until it has been taken out and flown.
         held_since_s = math.inf
         while True:
@@ -302,7 +307,7 @@ class _Run:
     def _say_soon(self, sentence: str) -> None:
         """Announce, from any thread."""
         with contextlib.suppress(RuntimeError):  # the loop has closed: there is nobody left to tell
-            self._loop.call_soon_threadsafe(self.emit, "announce", {"text": sentence})
+            self._loop.call_soon_threadsafe(lambda: self.emit("announce", {"text": sentence}))
 
 
 @contextlib.asynccontextmanager

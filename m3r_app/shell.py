@@ -323,7 +323,11 @@ class Shell:
         self._recording.record(
             "telemetry",
             now_s,
-            {**_recordable(state), "vehicle": self.vehicle.colour if self.vehicle else "", "geodetic": telemetry.geodetic},
+            {
+                **_recordable(state),
+                "vehicle": self.vehicle.colour if self.vehicle else "",
+                "geodetic": telemetry.geodetic,
+            },
         )
         self.inbox.put(TelemetryArrived(state))
 

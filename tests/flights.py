@@ -47,7 +47,16 @@ from safety.limits import Limits
 from safety.obstacles import Obstacles
 from safety.situation import World
 from safety.terrain import Terrain
-from safety.vocabulary import Command, ManeuverRequest, Modality, Ned, Neighbours, Operator, ReservedVolume, VehicleState
+from safety.vocabulary import (
+    Command,
+    ManeuverRequest,
+    Modality,
+    Ned,
+    Neighbours,
+    Operator,
+    ReservedVolume,
+    VehicleState,
+)
 from safety.volumes import segment_distance_m
 
 DT_S = 0.02
@@ -178,9 +187,7 @@ class Flight:
         self.pilot = _Autopilot(self.place, yaw_deg, error)
         for _ in range(500):  # ten seconds to find the wind before anybody watches
             self.pilot.step(self.wind.step(DT_S))
-        self.controller = MotionController(
-            self.pilot, lambda: self.now_s, 30.0, 30.0, lambda: None, lambda _why: None
-        )
+        self.controller = MotionController(self.pilot, lambda: self.now_s, 30.0, 30.0, lambda: None, lambda _why: None)
         self.state = ArbiterState(self.limits, Policy(), rules)
         self.true_anchor = self.pilot.body.position
         self.true_centre = self.pilot.body.position
@@ -312,14 +319,20 @@ class Flight:
         velocity = Ned(speed * math.cos(heading), speed * math.sin(heading), 0.0)
         # Its closest approach is a few metres off where the drone is, four to six seconds from now.
         side, off_m = rng.choice((-1.0, 1.0)), rng.uniform(5.5, 9.0)
-        nearest = here.plus(Ned(-side * math.sin(heading) * off_m, side * math.cos(heading) * off_m, rng.uniform(-2, 2)))
+        nearest = here.plus(
+            Ned(-side * math.sin(heading) * off_m, side * math.cos(heading) * off_m, rng.uniform(-2, 2))
+        )
         lead_s = rng.uniform(3.5, 5.5)
         start = _along(nearest, velocity, -lead_s)
         error = Ned(*(rng.uniform(-0.3, 0.3) for _ in range(3)))
         made = Aircraft(f"t{self.now_s:.0f}", start, velocity, self.now_s, self.now_s + lead_s + 3.5, error)
         needed_m = self.limits.separation_m + 2.0 * (0.35 + 0.3) + 0.9 + 0.06 * speed
         flight = self.state.flight
-        goals = [here] if flight is None else [here, flight.plan.goal, _along(flight.plan.goal, flight.plan.direction, flight.plan.stop_m)]
+        goals = (
+            [here]
+            if flight is None
+            else [here, flight.plan.goal, _along(flight.plan.goal, flight.plan.direction, flight.plan.stop_m)]
+        )
         for i in range(90):
             if min(made.at(self.now_s + 0.1 * i).minus(g).norm for g in goals) < needed_m:
                 return None
@@ -358,7 +371,6 @@ class Flight:
             worst[name] = min(worst.get(name, math.inf), margin)
             if margin < 0.0:
                 outcome.violations[name] = min(outcome.violations.get(name, 0.0), margin)
-
 
     def judge_start(self) -> None:
         """What must be known before anything is flown."""
@@ -417,4 +429,6 @@ def _fence(rng: Random, place: Ned) -> Geofence:
     for i in range(12):
         angle, away = 2.0 * math.pi * i / 12, rng.uniform(3.5, 10.0)
         corners.append((place.north + away * math.cos(angle), place.east + away * math.sin(angle)))
-    return Geofence.of(shapely.Polygon(corners).buffer(0), 490.0, ORIGIN_AMSL_M - place.down + rng.uniform(1.5, 4.0), ORIGIN_AMSL_M)
+    return Geofence.of(
+        shapely.Polygon(corners).buffer(0), 490.0, ORIGIN_AMSL_M - place.down + rng.uniform(1.5, 4.0), ORIGIN_AMSL_M
+    )

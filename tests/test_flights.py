@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from tests.flights import DT_S, ORIGIN_AMSL_M, Aircraft, Flight, Outcome, without
 
 import safety.supervisor
 from safety.geofence import Geofence
@@ -22,6 +21,7 @@ from safety.limits import Limits
 from safety.obstacles import Obstacles
 from safety.terrain import Terrain
 from safety.vocabulary import Command, Ned, ReservedVolume
+from tests.flights import DT_S, ORIGIN_AMSL_M, Aircraft, Flight, Outcome, without
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 FLIGHTS = 2000 if SOAK else 40

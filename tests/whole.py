@@ -65,7 +65,9 @@ class App:
             self.events.append(found)
             if found["event"] == event and all(found.get(k) == v for k, v in fields.items()):
                 return found
-        raise AssertionError(f"no {event} {fields} before the end: {self.process.stderr and self.process.stderr.read()}")
+        raise AssertionError(
+            f"no {event} {fields} before the end: {self.process.stderr and self.process.stderr.read()}"
+        )
 
     def finish(self) -> Ran:
         out, err = self.process.communicate(timeout=PATIENCE_S)

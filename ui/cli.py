@@ -210,6 +210,8 @@ def _add_run(commands: Any) -> None:
 def _add_sim(commands: Any) -> None:
     sim = _add(commands, "sim", "fly only the simulated fleet, for other tools", _run_sim)
     sim.add_argument("--scenario", type=_typed(parse_file), metavar="FILE", help="scenario file (TOML)")
+    sim.add_argument("--port-base", metavar="PORT", help="UDP port of the first drone's ground station (14540)")
+    sim.add_argument("--truth", type=_typed(parse_file), metavar="FILE", help="write the true states there, JSON lines")
 
 
 def _add_models(commands: Any) -> None:
@@ -256,7 +258,8 @@ def _run_run(options: argparse.Namespace) -> int:
 def _run_sim(options: argparse.Namespace) -> int:
     from m3r_app.sim.__main__ import main as simulate
 
-    return simulate([] if options.scenario is None else ["--scenario", str(options.scenario)])
+    given = {"--scenario": options.scenario, "--port-base": options.port_base, "--truth": options.truth}
+    return simulate([word for name, value in given.items() if value is not None for word in (name, str(value))])
 
 
 def _run_models(options: argparse.Namespace) -> int:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 from pymavlink import mavutil
-from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
 
 from m3r_app.recorder import read_header, read_record
 from safety.limits import Limits
+from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
 
 STORY = """\
 0.5 panel go right
@@ -141,6 +141,12 @@ def test_the_record_holds_all_of_it(story: tuple[Ran, Simulated, Path]) -> None:
 
 # ---------------------------------------------------------------- ends that nobody wishes for
 
+
+def flying(sim: Simulated) -> list[str]:
+    """Red of the plain scenario, its script on standard input."""
+    return ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)]
+
+
 LONG = "0.2 panel turn right\n60 panel go left\n"
 
 
@@ -149,8 +155,7 @@ def test_ctrl_c_in_mid_maneuver_holds_and_exits_130(tmp_path: Path) -> None:
     record = tmp_path / "r.mcap"
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
-            ["run", "--headless", "--pair", "red", "--script", "-", "--record", str(record), *sim.vehicles]
-            + ["--scenario", str(PLAIN)],
+            [*flying(sim), "--record", str(record)],
             stdin=LONG,
         )
         app.until("motion", status="started")
@@ -170,8 +175,7 @@ def test_a_killed_app_goes_no_further_than_its_step(tmp_path: Path) -> None:
     record = tmp_path / "r.mcap"
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
-            ["run", "--headless", "--pair", "red", "--script", "-", "--record", str(record), *sim.vehicles]
-            + ["--scenario", str(PLAIN)],
+            [*flying(sim), "--record", str(record)],
             stdin="0.2 panel go left\n60 panel go left\n",
         )
         app.until("motion", status="started")
@@ -189,7 +193,7 @@ def test_a_frozen_app_is_ended_and_the_drone_holds(tmp_path: Path) -> None:
     """X7: the interpreter itself stuck (here: stopped); the outer guard ends it, the autopilot's failsafe holds."""
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
-            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            flying(sim),
             stdin=LONG,
         )
         app.until("motion", status="started")
@@ -203,7 +207,7 @@ def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
     """X3: another ground station lands the drone; nothing of ours brings it back."""
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
-            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            flying(sim),
             stdin="0.2 panel turn right\n4 panel stop\n5 panel go left\n",
         )
         app.until("motion", status="started")
@@ -222,7 +226,7 @@ def test_a_vehicle_that_falls_silent_ends_the_run(tmp_path: Path) -> None:
     """Exit 3, reason vehicle_lost."""
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
-            ["run", "--headless", "--pair", "red", "--script", "-", *sim.vehicles, "--scenario", str(PLAIN)],
+            flying(sim),
             stdin=LONG,
         )
         app.until("motion", status="started")
@@ -353,5 +357,3 @@ def test_a_port_that_somebody_holds_is_exit_2(tmp_path: Path) -> None:
         ran = m3r("run", "--headless", "--pair", "red", "--vehicle", f"red=udpin://127.0.0.1:{port}")
     assert ran.status == 2
     assert str(port) in ran.told
-
-

@@ -1,0 +1,45 @@
+"""A hung event loop in mid-maneuver: the guard's thread commands Hold, the plan is dropped and asked for anew (X7)."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from m3r_app.app import run
+from m3r_app.options import RunOptions
+from tests.whole import PLAIN, simulated
+
+STALL_S = 2.5
+
+
+async def test_a_blocked_event_loop_is_held_by_the_guard(tmp_path: Path) -> None:
+    """Whoever takes the app's output blocks the whole loop: the drone is in Hold within a second all the same."""
+    script = tmp_path / "script.txt"
+    script.write_text("0.2 panel go left\n6 panel go right\n")
+    events: list[dict[str, Any]] = []
+    held: list[str] = []
+
+    with simulated(PLAIN, tmp_path) as sim:
+
+        def blocking(event: dict[str, Any]) -> None:
+            events.append(event)
+            if event["event"] == "motion" and event["status"] == "started" and not held:
+                deadline_s = time.monotonic() + STALL_S
+                while time.monotonic() < deadline_s:
+                    if sim.last("red")["mode"] == "LOITER" and not held:
+                        held.append(f"{time.monotonic() - deadline_s + STALL_S:.2f}")
+
+        options = RunOptions(
+            headless=True, pair="red", script=script, scenario=PLAIN, vehicles=dict(sim.urls), timeout_s=60.0
+        )
+        status = await run(options, blocking)
+
+    assert status == 0
+    assert held, "the autopilot was not in Hold while the loop was blocked"
+    assert float(held[0]) <= 1.2
+    told = " ".join(e["text"] for e in events if e["event"] == "announce")
+    assert "the guard commanded Hold" in told
+    motions = [(e["request"], e["status"]) for e in events if e["event"] == "motion"]
+    assert ("script-1", "aborted") in motions
+    assert ("script-2", "completed") in motions, "a new request flies again"
