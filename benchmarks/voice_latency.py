@@ -27,7 +27,7 @@ from modalities.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, quiet,
 from modalities.evaluate import PADDING_S, hear, percentile_ms
 from modalities.models import ModelError, find_model
 from modalities.phrases import PhraseTable
-from modalities.voice import Recognizer, load_model
+from modalities.voice import UNKNOWN_WORD, Recognizer, load_model
 from modalities.voice_end import VoiceEnd
 from safety.vocabulary import Command
 
@@ -53,7 +53,11 @@ def paper_match(text: str, table: PhraseTable) -> Command | None:
 
 def paper_request(samples: Samples, model: vosk.Model, table: PhraseTable) -> tuple[Command, float] | None:
     """The first request of the paper's configuration and when it was made, in the recording's time."""
-    recognizer = vosk.KaldiRecognizer(model, float(SAMPLE_RATE_HZ), json.dumps([*table.phrases, "[unk]"]))
+    unknown = (
+        [UNKNOWN_WORD] if model.vosk_model_find_word(UNKNOWN_WORD) >= 0 else []
+    )  # VOSK ignores it where it is missing
+    grammar = [*table.phrases, *unknown]
+    recognizer = vosk.KaldiRecognizer(model, float(SAMPLE_RATE_HZ), json.dumps(grammar))
     done_s = 0.0
     for chunk in chunks(samples, PAPER_CHUNK_SAMPLES):
         began = time.perf_counter()

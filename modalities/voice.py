@@ -235,7 +235,7 @@ def confidence_of(commands: list[Hypothesis], words: list[Hypothesis], phrase: P
 
 def load_model(folder: Path) -> vosk.Model:
     """A VOSK model, its log silenced. Raises ModelError."""
-    vosk.SetLogLevel(-1)
+    vosk.SetLogLevel(-2)  # its warnings too: missing words are reported by the recogniser
     try:
         return vosk.Model(str(folder))
     except Exception as error:  # vosk raises nothing narrower
