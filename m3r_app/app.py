@@ -17,7 +17,7 @@ from typing import Any
 
 from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
-from m3r_app.events import ArbiterState, Ended, PairingAnswered, PairingAsked, Policy, Tally
+from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
 from m3r_app.guard import Guard
 from m3r_app.inputs import Inputs, open_inputs
@@ -153,14 +153,14 @@ class _Run:
             stack.callback(guard.close)
             shell = self.shell = self._shell(setting, fleet, guard)
             stack.push_async_callback(shell.close)
-            stack.push_async_callback(self._leave, shell)
+            stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
             async with _together(shell.run(), shell.tick(), self._watch_link(shell)) as background:
                 playing = asyncio.create_task(self._play(shell, inputs))
                 background.add(playing)
                 done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
                     task.result()
-                await self._leave(shell)
+                await shell.leave_in_hold(LAST_HOLD_S)
         return "inputs_played"
 
     # ------------------------------------------------------------ before flying
@@ -223,8 +223,6 @@ class _Run:
         except VehicleError as error:
             reasons = (str(error),)
         shell.inbox.put(PairingAnswered(colour, reasons, setting.operator, setting.world))
-        if not reasons:
-            shell.take_authority()
 
     async def _objections(self, setting: Setting, shell: Shell, colour: str) -> tuple[str, ...]:
         vehicle = shell.fleet.vehicles.get(colour)
@@ -297,12 +295,6 @@ class _Run:
             if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > LOST_S:
                 self.emit("announce", {"text": f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s"})
                 raise VehicleLost
-
-    async def _leave(self, shell: Shell) -> None:
-        """However the run ends: a drone that is ours is left in Hold. Source: contract, X3."""
-        if shell.state.authority:
-            shell.take(Ended("the run is over"))
-        await shell.settled(LAST_HOLD_S)
 
     def _say_soon(self, sentence: str) -> None:
         """Announce, from any thread."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Coroutine
@@ -14,6 +15,7 @@ from m3r_app.events import (
     Announce,
     ArbiterState,
     Effect,
+    Ended,
     Event,
     FaceOperator,
     Fly,
@@ -36,7 +38,7 @@ from m3r_app.motion import MotionController
 from m3r_app.telemetry import UNKNOWN_MODE, Telemetry
 from m3r_app.vehicle import Vehicle, VehicleError
 from safety.frames import LocalFrame
-from safety.vocabulary import Command, ManeuverRequest, Ned, VehicleState
+from safety.vocabulary import Command, ManeuverRequest, Ned, Neighbours, VehicleState
 
 INBOX = 512
 TICK_S = 0.1
@@ -159,8 +161,6 @@ class Shell:
 
     def surroundings(self, now_s: float) -> NeighboursHeard:
         """The latest of everybody else."""
-        from safety.vocabulary import Neighbours
-
         assert self.vehicle is not None
         own = self.vehicle.colour
         neighbours = (
@@ -177,6 +177,18 @@ class Shell:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, *([self._streaming] if self._streaming else []), return_exceptions=True)
+
+    async def leave_in_hold(self, within_s: float) -> None:
+        """The last thing: a drone that is ours is told to hold, whatever else went wrong. Source: contract, X3."""
+        vehicle, ours = self.vehicle, self.state.authority
+        try:
+            if ours:
+                self.take(Ended("the run is over"))
+        finally:
+            await self.settled(within_s)
+            if ours and vehicle is not None and vehicle.telemetry().flight_mode == "OFFBOARD" and self.controller:
+                with contextlib.suppress(TimeoutError):  # only where the step above broke
+                    await asyncio.wait_for(vehicle.hold(), within_s)
 
     async def settled(self, within_s: float) -> None:
         """Wait until the orders given so far have been carried out, at most within_s."""
@@ -195,6 +207,7 @@ class Shell:
                 self._emit("pair", self._with_places(Report("pair", _requested(effect.colour))))
                 self._start(self._pair(self, effect.colour))
             case FaceOperator():
+                self._watch_over()
                 self._order(lambda c: c.face(effect.yaw_deg))
             case Fly():
                 plan, shift = effect.plan, self._shift
@@ -256,12 +269,28 @@ class Shell:
             lambda why: self.inbox.put(Stalled(why)),
             self._sent,
         )
-        self._streaming = asyncio.create_task(self.controller.run())
+        self._stream()
 
-    def take_authority(self) -> None:
-        """From now on the guard watches. Source: X3, X7."""
-        if self.vehicle is not None:
+    def _watch_over(self) -> None:
+        """We have authority: from now on the guard watches. Source: X3, X7."""
+        if self.vehicle is not None and not self.guard.armed:
             self.guard.arm(self.vehicle.hold_unless_taken_over)
+
+    def _stream(self) -> None:
+        """Send setpoints until let go. What breaks the sending drops what is flown; then it goes on."""
+        controller = self.controller
+        assert controller is not None
+        self._streaming = asyncio.create_task(controller.run())
+
+        def broken(task: asyncio.Task[None]) -> None:
+            error = None if task.cancelled() else task.exception()
+            if error is None or self.controller is not controller:
+                return
+            controller.disengaged()
+            self.inbox.put(Stalled(f"setpoints could not be sent ({error})"))
+            self._stream()
+
+        self._streaming.add_done_callback(broken)
 
     def _let_go(self, command: str) -> None:
         self.guard.disarm()
