@@ -14,16 +14,29 @@ def longest_passing(
 ) -> float | None:
     """The end of a bracket no wider than step_m: a length that passes, step_m below one that fails. None: low_m fails.
 
-    As bisection, and never more than three times its tries, but where the margins say the limit is met it looks just below
-    and then just above: margins fall about evenly with the length, so a few tries are enough. at_high: what is known of
-    high_m, which fails.
+    As bisection, and never more than about three times its tries, but where the margins say the limit is met it looks just
+    below and then just above: margins fall about evenly with the length, so a few tries are enough. at_high: what is known
+    of high_m, which fails.
     """
-    passed, at_low_m = attempt(low_m)
-    if not passed:
-        return None
     at_high_m = at_high[1]
+    # The first guess is that the limit is met head-on, every metre costing one of margin; the second knows better.
+    passed, at_low_m, per_m = False, math.nan, 1.0
+    for _ in range(2):
+        guess_m = high_m + at_high_m / per_m - 0.4 * step_m if per_m > 0.0 else low_m
+        if passed or not low_m < guess_m < high_m:
+            break
+        passed, margin_m = attempt(guess_m)
+        if passed:
+            low_m, at_low_m = guess_m, margin_m
+        else:
+            per_m = (margin_m - at_high_m) / (high_m - guess_m)
+            high_m, at_high_m = guess_m, margin_m
     # Aim a little below the limit while that is not yet passed, then above it; farther every time the aim was too short.
-    aim_m, guesses, width_m = -0.4 * step_m, 0, high_m - low_m
+    aim_m, guesses, width_m = 0.4 * step_m if passed else -0.4 * step_m, 0, high_m - low_m
+    if not passed:
+        passed, at_low_m = attempt(low_m)
+        if not passed:
+            return None
     while high_m - low_m > step_m:
         probe_m = 0.5 * (low_m + high_m)
         if guesses < 2 and at_low_m > 0.0 > at_high_m and math.isfinite(at_low_m - at_high_m):

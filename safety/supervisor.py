@@ -5,18 +5,22 @@ Pure: numbers in, decision out. Source: paper III-G, P2, P3, R3-R8, R11, design 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from safety.constraints import RULES, Rule, Subject, findings, nearby
 from safety.limits import Limits
 from safety.planner import full_length_m, plan_return, plan_scan, plan_translation, swept
+from safety.search import Tried, longest_passing
 from safety.situation import Situation
 from safety.vocabulary import (
     PRIMITIVE_OF,
     Decision,
     Finding,
     ManeuverRequest,
+    Path,
     Plan,
     Primitive,
     Verdict,
@@ -106,24 +110,32 @@ def decide_plan(
 
     intent None: the plan is all or nothing.
     """
-    scene = nearby(situation, swept(plan, limits), limits)
-    found = assess(plan, request, scene, limits, rules)
+    path = swept(plan, limits)
+    scene = nearby(situation, path, limits)
+    found = findings(path, scene, limits, plan, request, rules)
     asked_m = None if plan.primitive.is_scan else plan.length_m
     if safe(found):
         return Decision(request_id, plan.primitive, Verdict.APPROVED, asked_m, asked_m, found, found, plan)
     no = Decision(request_id, plan.primitive, Verdict.REJECTED, asked_m, None, found)
     if intent is None:
         return no
-    if may_delay and clears_within(plan, found, situation, limits, rules):
+    if may_delay and clears_within(path, found, situation, limits, rules):
         return replace(no, verdict=Verdict.DELAYED)
-    shorter = shorten(plan, request, found, intent, scene, limits, rules)
+    shorter = shorten(plan, request, found, intent, situation, limits, rules, Cut(scene, path))
     if shorter is not None:
         granted, granted_findings = shorter
         return replace(
             no, verdict=Verdict.REDUCED, granted_m=granted.length_m, granted_findings=granted_findings, plan=granted
         )
-    slowness = slower(request, intent, scene, limits, rules) if offer else None
+    slowness = slower(request, intent, situation, limits, rules) if offer else None
     return no if slowness is None else replace(no, verdict=Verdict.REPLACED, slowness=slowness)
+
+
+class Cut(NamedTuple):
+    """A situation without what cannot matter on this path, nor on shorter ones that end no later (`nearby`)."""
+
+    scene: Situation
+    path: Path
 
 
 def shorten(
@@ -131,45 +143,54 @@ def shorten(
     request: ManeuverRequest | None,
     found: tuple[Finding, ...],
     intent: Intent,
-    scene: Situation,
+    situation: Situation,
     limits: Limits,
-    rules: tuple[Rule, ...] = RULES,
+    rules: tuple[Rule, ...],
+    cut: Cut,
 ) -> tuple[Plan, tuple[Finding, ...]] | None:
     """The longest safe plan along the same line, to the bisection step; None if none of the shortest length is safe.
 
-    Bisects on the rules that failed; what comes out is judged by all of them, and if that brings up another rule (only
-    timed rules can), bisects on that one too. Scans are never shortened. Source: P3, R4, R6, design 7.
+    Searches with the rules that failed; what comes out is judged by all of them, and if that brings up another rule (only
+    timed rules can), searches with that one too. Scans are never shortened. Source: P3, R4, R6, design 7.
     """
     if plan.primitive.is_scan or plan.length_m <= limits.shortest_m:
         return None
+    failed = [f for f in found if not f.passed]
     by_name = {rule.name: rule for rule in rules if rule.subject is Subject.PATH}
-    failing = {f.constraint for f in found if not f.passed}
-    while failing <= by_name.keys():
-        bisected = [by_name[name] for name in by_name if name in failing]
+    until_s = cut.path.times_s[-1]
+    while {f.constraint for f in failed} <= by_name.keys():
+        searched = [by_name[f.constraint] for f in failed]
+        tried: dict[float, tuple[Plan, Path, Situation]] = {}
 
-        def fits(length_m: float, bisected: list[Rule] = bisected) -> bool:
-            path = swept(propose(replace(intent, amount=length_m), scene, limits), limits)
-            return all(rule.check(path, scene, limits).passed for rule in bisected)
+        def attempt(length_m: float, searched: list[Rule] = searched, tried: dict[float, tuple[Plan, Path, Situation]] = tried) -> Tried:
+            shorter = propose(replace(intent, amount=length_m), situation, limits)
+            path = swept(shorter, limits)
+            # A nose that turns farther for the shorter move may make it last longer: then others fly on for longer.
+            scene = cut.scene if path.times_s[-1] <= until_s else nearby(situation, path, limits)
+            tried[length_m] = shorter, path, scene
+            return outcome([rule.check(path, scene, limits) for rule in searched])
 
-        if not fits(limits.shortest_m):
+        granted_m = longest_passing(attempt, limits.shortest_m, plan.length_m, outcome(failed), limits.bisection_m)
+        if granted_m is None:
             return None
-        low_m, high_m = limits.shortest_m, plan.length_m
-        while high_m - low_m > limits.bisection_m:
-            middle_m = 0.5 * (low_m + high_m)
-            low_m, high_m = (middle_m, high_m) if fits(middle_m) else (low_m, middle_m)
-        shorter = propose(replace(intent, amount=low_m), scene, limits)
-        judged = assess(shorter, request, scene, limits, rules)
+        shorter, path, scene = tried[granted_m]
+        judged = findings(path, scene, limits, shorter, request, rules)
         if safe(judged):
             return shorter, judged
-        more = {f.constraint for f in judged if not f.passed} - failing
+        more = [f for f in judged if not f.passed and by_name.get(f.constraint) not in searched]
         if not more:
             return None
-        failing |= more
+        failed += more
     return None
 
 
+def outcome(found: Sequence[Finding]) -> Tried:
+    """Whether all pass, and the smallest margin of them; -inf if one has none."""
+    return safe(found), min(f.margin if f.margin is not None else -math.inf for f in found)
+
+
 def clears_within(
-    plan: Plan, found: tuple[Finding, ...], situation: Situation, limits: Limits, rules: tuple[Rule, ...]
+    path: Path, found: tuple[Finding, ...], situation: Situation, limits: Limits, rules: tuple[Rule, ...]
 ) -> bool:
     """Whether the one failing constraint is about to clear by itself. Source: design 7 (delayed)."""
     failing = [f.constraint for f in found if not f.passed]
@@ -178,7 +199,6 @@ def clears_within(
     if failing[0] == "neighbour_age":
         return situation.now_s - situation.neighbours.feed_at_s <= limits.neighbour_age_s + limits.delay_s
     rule = next(rule for rule in rules if rule.name == failing[0])
-    path = swept(plan, limits)
     steps = int(limits.delay_s / DELAY_STEP_S)
     # Seen from later on, the same states have aged by nothing but the waiting: what is fresh now stays fresh.
     return any(rule.check(path, later(situation, (i + 1) * DELAY_STEP_S), limits).passed for i in range(steps))
@@ -197,14 +217,17 @@ def later(situation: Situation, wait_s: float) -> Situation:
 
 
 def slower(
-    request: ManeuverRequest | None, intent: Intent, scene: Situation, limits: Limits, rules: tuple[Rule, ...]
+    request: ManeuverRequest | None, intent: Intent, situation: Situation, limits: Limits, rules: tuple[Rule, ...]
 ) -> float | None:
     """How many times slower the same displacement would be safe; None if it never is. Source: design 7 (replaced)."""
     if intent.primitive.is_scan:
         return None
     for slowness in SLOWER:
-        plan = propose(replace(intent, slowness=slowness), scene, limits)
-        if safe(assess(plan, request, scene, limits, rules)):
+        plan = propose(replace(intent, slowness=slowness), situation, limits)
+        path = swept(plan, limits)
+        # It lasts longer and reaches others, so what was left out for the faster one may matter.
+        scene = nearby(situation, path, limits)
+        if safe(findings(path, scene, limits, plan, request, rules)):
             return slowness
     return None
 
