@@ -51,7 +51,9 @@ class Breach:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What one look says. clearance_m: to terrain and obstacles; separation_m: to the nearest aircraft; None: none there.
+    """What one look says. separation_m: to the nearest aircraft, None if there is none.
+
+    clearance_m: while a plan is flown, to terrain and obstacles; the terrain is looked for within 20 m.
 
     negative: the margins below zero by kind and constraint, which the next look at the same maneuver may find no lower.
     """
@@ -96,10 +98,7 @@ def watch(
         breaches += _envelope(plan, elapsed_s, speed_m_s, situation, limits)
     return Watch(
         tuple(breaches),
-        _least(
-            _distance(now, "terrain_clearance", limits.clearance_m),
-            _distance(now, "obstacle_clearance", limits.obstacle_clearance_m),
-        ),
+        _clearance_m(situation, here) if plan is not None else None,
         _distance(now, "separation", limits.separation_m),
         {(kind, f.constraint): f.margin for kind, f in found if f.margin is not None and f.margin < 0.0},
     )
@@ -172,15 +171,21 @@ def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
     return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
 
 
+def _clearance_m(situation: Situation, here: Path) -> float | None:
+    """The distance to terrain and obstacles, for the record; None where neither is declared or known."""
+    world = situation.world
+    distances: list[float] = []
+    if world.terrain is not None:
+        distances += world.terrain.clearance_m(here.points_ned_m).tolist()
+    if len(world.obstacles):
+        distances += world.obstacles.distance_m(here.points_ned_m).ravel().tolist()
+    least_m = min((d for d in distances if math.isfinite(d)), default=math.nan)
+    return least_m if math.isfinite(least_m) else None
+
+
 def _distance(findings: list[Finding], constraint: str, required_m: float) -> float | None:
     """The distance behind a bare finding; None where nothing is there."""
     for f in findings:
         if f.constraint == constraint and f.margin is not None:
             return f.margin + required_m
     return None
-
-
-def _least(a: float | None, b: float | None) -> float | None:
-    if a is None or b is None:
-        return a if b is None else b
-    return min(a, b)

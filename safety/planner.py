@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from safety.frames import bearing_deg, operator_direction, wrap_deg
@@ -129,8 +131,14 @@ def _straight(
 
 
 def _facing_deg(place: Ned, operator: Ned, yaw_deg: float) -> float:
-    """The bearing of the operator; straight above the operator there is none: the nose stays where it is."""
-    return yaw_deg if place.minus(operator).horizontal <= ABOVE_M else bearing_deg(place, operator)
+    """The bearing of the operator; straight above the operator there is none: the nose stays where it is.
+
+    Raises ValueError where it cannot be known: a setpoint that is no number would be flown (X6).
+    """
+    facing_deg = yaw_deg if place.minus(operator).horizontal <= ABOVE_M else bearing_deg(place, operator)
+    if not (math.isfinite(facing_deg) and math.isfinite(yaw_deg) and place.finite):
+        raise ValueError("the drone's heading, its place or yours is unknown")
+    return facing_deg
 
 
 def _max_duration_s(nominal_s: float, limits: Limits) -> float:
