@@ -38,16 +38,16 @@ models: setup
 
 demo: setup
 	@if $(BIN)/m3r models fetch; then \
-		$(BIN)/m3r run --pair red --audio config/demo/operator.ogg; \
+		$(BIN)/m3r run --audio config/demo/operator.ogg; \
 	else \
 		echo "No voice model can be had, so the same story is flown from scripted buttons."; \
-		$(BIN)/m3r run --pair red --script config/demo/operator.script; \
+		$(BIN)/m3r run --script config/demo/operator.script; \
 	fi
 
-test: setup
+test: models
 	@$(BIN)/python -m pytest
 
-soak: setup
+soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600
 
 check: setup

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+SHARED_MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
+if SHARED_MODELS.is_dir():
+    os.environ.setdefault("M3R_MODELS", str(SHARED_MODELS))  # as the Makefile does
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 
