@@ -270,7 +270,4 @@ def check_step(before: ArbiterState, event: Event, after: ArbiterState, effects:
 
 def ball(name: str, position: Ned, velocity: Ned, at_s: float, sigma_m: float = 0.1) -> Neighbours:
     """A sky with one aircraft in it."""
-    return Neighbours(
-        (name,), np.array([position]), np.array([velocity]), np.array([sigma_m]), np.array([at_s]), at_s
-    )
-
+    return Neighbours((name,), np.array([position]), np.array([velocity]), np.array([sigma_m]), np.array([at_s]), at_s)

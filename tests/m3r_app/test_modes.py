@@ -23,7 +23,11 @@ def test_the_papers_transitions(a: State, b: State) -> None:
 
 def test_armed_only_through_pairing() -> None:
     """P1: from NormalAutonomy there is one way into Armed, and it begins with an accepted pairing."""
-    into = {(s, c) for (s, c), to in TRANSITIONS.items() if MODE_OF[s] is Mode.NORMAL_AUTONOMY and MODE_OF[to] is not MODE_OF[s]}
+    into = {
+        (s, c)
+        for (s, c), to in TRANSITIONS.items()
+        if MODE_OF[s] is Mode.NORMAL_AUTONOMY and MODE_OF[to] is not MODE_OF[s]
+    }
     assert into == {(State.FACING, Cause.FACING_OPERATOR)}
     assert {s for (s, c), to in TRANSITIONS.items() if to is State.FACING} == {State.PAIRING}
 

@@ -25,5 +25,7 @@ def test_invariants_are_what_is_monitored(primitive: Primitive) -> None:
 
 def test_scans_end_facing_the_operator() -> None:
     """X9"""
-    assert [p for p in Primitive if "facing_operator" in CONTRACTS[p].postconditions] == [p for p in Primitive if p.is_scan]
+    assert [p for p in Primitive if "facing_operator" in CONTRACTS[p].postconditions] == [
+        p for p in Primitive if p.is_scan
+    ]
     assert set(PRIMITIVE_OF.values()) | {Primitive.RETURN} == set(CONTRACTS)

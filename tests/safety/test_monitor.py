@@ -15,9 +15,12 @@ from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, vehicle, wa
 
 PLAN = plan_translation(Primitive.MOVE_FORWARD, START, 180.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS)
 NORTH = Ned(0.5, 0.0, 0.0)
+STILL = Ned(0.0, 0.0, 0.0)
 
 
-def look(about: Situation, plan: Plan | None = PLAN, elapsed_s: float = 1.0, speed_m_s: float = 0.0, **how: object) -> Watch:
+def look(
+    about: Situation, plan: Plan | None = PLAN, elapsed_s: float = 1.0, speed_m_s: float = 0.0, **how: object
+) -> Watch:
     return watch(about, plan, elapsed_s, speed_m_s, how.get("baseline", {}), LIMITS)  # type: ignore[arg-type]
 
 
@@ -25,7 +28,7 @@ def kinds(seen: Watch) -> set[tuple[str, str]]:
     return {(b.kind, b.constraint) for b in seen.breaches}
 
 
-def near_wall(wall_m: float, velocity: Ned = Ned(0.0, 0.0, 0.0), sigma_m: float = 0.0) -> Situation:
+def near_wall(wall_m: float, velocity: Ned = STILL, sigma_m: float = 0.0) -> Situation:
     drone = vehicle(velocity=velocity, sigma_h_m=sigma_m, sigma_v_m=sigma_m)
     return situation(world=world(obstacles=wall(wall_m)), vehicle=drone)
 

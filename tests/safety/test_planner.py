@@ -22,7 +22,9 @@ SCANS = [Primitive.SCAN_LEFT, Primitive.SCAN_RIGHT]
 yaws = st.floats(-180.0, 180.0)
 
 
-def translation(primitive: Primitive, yaw_deg: float = FACING, length_m: float | None = None, slowness: float = 1.0) -> Plan:
+def translation(
+    primitive: Primitive, yaw_deg: float = FACING, length_m: float | None = None, slowness: float = 1.0
+) -> Plan:
     length_m = full_length_m(primitive, LIMITS) if length_m is None else length_m
     return plan_translation(primitive, DRONE, yaw_deg, OPERATOR, length_m, LIMITS, slowness)
 
@@ -47,7 +49,9 @@ def assert_bounded(plan: Plan, speed_m_s: float) -> None:
 
 
 @given(st.sampled_from(MOVES), yaws, st.floats(0.001, 5.0), st.sampled_from([1.0, 2.0, 4.0]))
-def test_a_move_never_exceeds_its_bounds(primitive: Primitive, yaw_deg: float, length_m: float, slowness: float) -> None:
+def test_a_move_never_exceeds_its_bounds(
+    primitive: Primitive, yaw_deg: float, length_m: float, slowness: float
+) -> None:
     """R8, G6: sampled at 50 Hz as it is flown."""
     plan = translation(primitive, yaw_deg, length_m, slowness)
     full = LIMITS.descend_speed_m_s if primitive is Primitive.DESCEND else LIMITS.speed_m_s

@@ -199,7 +199,9 @@ def test_more_uncertainty_never_permits_more(a: float, b: float, wall_m: float, 
         drone = vehicle(sigma_h_m=sigma_m, sigma_v_m=sigma_m, yaw_deg=180.0)
         about = situation(world=world(obstacles=wall(wall_m)), vehicle=drone)
         # Where a limit is broken already, more doubt may turn "fits" into "mends": only what begins inside is compared.
-        if sigma_m == high and any(f.margin is not None and f.margin < 0.0 and f.passed for f in decided(command, about).granted_findings):
+        if sigma_m == high and any(
+            f.margin is not None and f.margin < 0.0 and f.passed for f in decided(command, about).granted_findings
+        ):
             return
         granted.append(decided(command, about).granted_m or 0.0)
     assert granted[1] <= granted[0] + LIMITS.bisection_m

@@ -1,0 +1,67 @@
+"""Fusion: what a request is to those shortly before it. X5, design 6."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from m3r_app.fusion import Relation, Remembered, fused, relate, remember
+from safety.vocabulary import Command, ManeuverRequest, Modality
+
+VOICE, GESTURE = Modality.VOICE, Modality.GESTURE
+
+
+def made(
+    command: Command, modality: Modality, at_s: float, confidence: float = 0.8, name: str = "a"
+) -> ManeuverRequest:
+    return ManeuverRequest(name, command, modality, confidence, at_s, at_s + 0.4, str(command))
+
+
+@pytest.mark.parametrize(("command", "modality", "at_s", "relation"), [
+    (Command.GO_LEFT, GESTURE, 11.0, Relation.CONFIRMS),
+    (Command.GO_LEFT, GESTURE, 11.001, Relation.NEW),
+    (Command.GO_LEFT, GESTURE, 9.0, Relation.CONFIRMS),  # slower to be understood, captured before
+    (Command.GO_UP, GESTURE, 11.0, Relation.CONTRADICTS),
+    (Command.GO_UP, GESTURE, 11.001, Relation.NEW),
+    (Command.GO_LEFT, VOICE, 10.5, Relation.NEW),  # the same modality says it again
+    (Command.GO_UP, VOICE, 10.5, Relation.NEW),  # or changes its mind
+    (Command.GO_UP, GESTURE, math.nan, Relation.NEW),
+])  # fmt: skip
+def test_relation_by_capture_time(command: Command, modality: Modality, at_s: float, relation: Relation) -> None:
+    recent = (Remembered(made(Command.GO_LEFT, VOICE, 10.0)),)
+    assert relate(made(command, modality, at_s, name="b"), recent, 1.0)[0] is relation
+
+
+def test_the_latest_of_the_other_modality_counts() -> None:
+    """Who changes their mind by voice is not contradicted by a gesture that follows the change."""
+    recent = (Remembered(made(Command.GO_LEFT, VOICE, 10.0)), Remembered(made(Command.GO_UP, VOICE, 10.5, name="b")))
+    relation, other = relate(made(Command.GO_UP, GESTURE, 10.9, name="c"), recent, 1.0)
+    assert relation is Relation.CONFIRMS
+    assert other is recent[1]
+
+
+def test_both_are_surer_than_either() -> None:
+    first, second = made(Command.GO_LEFT, VOICE, 10.0, 0.5), made(Command.GO_LEFT, GESTURE, 10.4, 0.6, "b")
+    both = fused(second, first, "a")
+    assert both.confidence == pytest.approx(0.8)
+    assert (both.id, both.modality) == ("a", Modality.FUSED)
+    assert "voice" in both.evidence
+    assert "gesture" in both.evidence
+
+
+@pytest.mark.parametrize("bad", [math.nan, -0.1, 1.1, math.inf])
+def test_no_confidence_stays_none(bad: float) -> None:
+    good = made(Command.GO_LEFT, VOICE, 10.0)
+    assert math.isnan(fused(made(Command.GO_LEFT, GESTURE, 10.0, bad), good, "a").confidence)
+    assert math.isnan(fused(good, made(Command.GO_LEFT, GESTURE, 10.0, bad), "a").confidence)
+
+
+def test_memory_is_short_and_keeps_one_of_each() -> None:
+    recent: tuple[Remembered, ...] = ()
+    for i in range(50):
+        recent = remember(recent, made(Command.GO_LEFT, VOICE, 10.0 + 0.5 * i, name=f"r{i}"), 1.0)
+    assert [r.request.id for r in recent] == ["r45", "r46", "r47", "r48", "r49"]
+    again = remember(recent, recent[-1].request, 1.0, refused=True)
+    assert [r.request.id for r in again] == ["r45", "r46", "r47", "r48", "r49"]
+    assert again[-1].refused
