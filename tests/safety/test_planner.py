@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety.frames import bearing_deg, operator_direction, wrap_deg
@@ -48,6 +48,7 @@ def assert_bounded(plan: Plan, speed_m_s: float) -> None:
     assert np.linalg.norm(velocity[[0, -1]], axis=1).max(initial=0.0) <= LIMITS.acceleration_m_s2 * 0.02
 
 
+@settings(max_examples=40)
 @given(st.sampled_from(MOVES), yaws, st.floats(0.001, 5.0), st.sampled_from([1.0, 2.0, 4.0]))
 def test_a_move_never_exceeds_its_bounds(
     primitive: Primitive, yaw_deg: float, length_m: float, slowness: float
@@ -59,6 +60,7 @@ def test_a_move_never_exceeds_its_bounds(
     assert plan.goal.minus(plan.start).norm == pytest.approx(length_m)
 
 
+@settings(max_examples=30)
 @given(st.sampled_from(SCANS), yaws, st.floats(1.0, 360.0))
 def test_a_scan_never_exceeds_its_bounds(primitive: Primitive, yaw_deg: float, left_deg: float) -> None:
     plan = plan_scan(primitive, DRONE, yaw_deg, OPERATOR, left_deg, LIMITS)
