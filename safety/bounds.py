@@ -14,12 +14,11 @@ import numpy as np
 from safety.judging import between, gaps_m, judge, once, refused, worst
 from safety.limits import Limits
 from safety.situation import Situation
-from safety.vocabulary import Finding, Floats, Path
+from safety.vocabulary import Finding, Floats, Ned, Path
 
 if TYPE_CHECKING:
     from safety.terrain import Terrain, TerrainPatch
 
-_ONES = np.ones(3)
 NO_ACCURACY = "cannot be judged: the drone's position or its accuracy is unknown"
 
 
@@ -128,9 +127,8 @@ def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Find
 
 def workspace(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the anchor. Source: R7, paper III-D. Relative, so only drift since the anchor counts (design 2)."""
-    margins = (
-        limits.workspace_m - _from(path, situation.anchor.position) - _drift_m(situation, situation.anchor.at_s, limits)
-    )
+    radius_m = limits.workspace_m - _drift_m(situation, situation.anchor.at_s, limits)
+    margins = _within(path, situation.anchor.position, radius_m)
     # A ball is convex: what holds at two points holds between them.
     return judge("workspace", ("R7",), margins, None, "workspace", "{} outside the workspace about the anchor",
                  f"workspace {NO_ACCURACY}")  # fmt: skip
@@ -138,9 +136,8 @@ def workspace(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 def session(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the place of pairing, which no sum of moves leaves. Source: X1, design 2."""
-    margins = (
-        limits.session_m - _from(path, situation.session_centre) - _drift_m(situation, situation.paired_at_s, limits)
-    )
+    radius_m = limits.session_m - _drift_m(situation, situation.paired_at_s, limits)
+    margins = _within(path, situation.session_centre, radius_m)
     return judge("session", ("X1",), margins, None, "session area", "{} too far from where pairing happened",
                  f"session area {NO_ACCURACY}")  # fmt: skip
 
@@ -166,11 +163,10 @@ def geofence(path: Path, situation: Situation, limits: Limits) -> Finding:
 def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
     """Horizontal distance to the operator, who is a person. Source: X2, design 11."""
     operator = situation.operator
-    north = path.points_ned_m[:, 0] - operator.position.north
-    east = path.points_ned_m[:, 1] - operator.position.east
+    north, east, _ = operator.position
     required_m = limits.standoff_m + error_m(situation.vehicle.sigma_h_m, limits)
     required_m += limits.sigma_k * checked_sigma_m(operator.sigma_m)
-    margins = np.sqrt(north * north + east * east) - required_m
+    margins = np.array([math.hypot(n - north, e - east) - required_m for n, e, _ in _points(path)])
     return judge("standoff", ("X2",), margins, between(margins, _gaps(path)), "distance to you", "{} too close to you",
                  "distance to you cannot be judged: your position, the drone's or their accuracy is unknown")  # fmt: skip
 
@@ -203,10 +199,15 @@ def _terrain_unknown(what: str, required_m: float, terrain: Terrain | TerrainPat
     return f"{what} {NO_ACCURACY}"
 
 
-def _from(path: Path, place: tuple[float, float, float]) -> Floats:
-    """(n,) distances of the path's points from a place."""
-    apart = path.points_ned_m - place
-    return np.asarray(np.sqrt((apart * apart) @ _ONES))
+@once
+def _points(path: Path) -> list[list[float]]:
+    """The path's points as plain numbers: of so few, plain arithmetic is faster."""
+    return path.points_ned_m.tolist()  # type: ignore[no-any-return]
+
+
+def _within(path: Path, place: Ned, radius_m: float) -> list[float]:
+    """How far inside the ball about a place each of the path's points is."""
+    return [radius_m - math.dist(point, place) for point in _points(path)]
 
 
 def _drift_m(situation: Situation, since_s: float, limits: Limits) -> float:

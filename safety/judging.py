@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -16,8 +17,8 @@ EPSILON = 1e-9
 SPARE_M = 3.0
 """What stands still is looked for this far beyond what is required; farther, a sentence says "at least"."""
 
-_ONES = np.ones(3)
 T = TypeVar("T")
+Margins = Sequence[float] | Floats
 
 
 def amount(size: float, unit: str = "m") -> str:
@@ -29,8 +30,8 @@ def amount(size: float, unit: str = "m") -> str:
 
 def gaps_m(path: Path) -> Floats:
     """(n - 1,) distances between the points of a path."""
-    steps = path.points_ned_m[1:] - path.points_ned_m[:-1]
-    return np.asarray(np.sqrt((steps * steps) @ _ONES))
+    points = path.points_ned_m.tolist()
+    return np.array([math.dist(a, b) for a, b in pairwise(points)])
 
 
 def between(margins: Floats, gaps: Floats) -> Floats:
@@ -40,16 +41,16 @@ def between(margins: Floats, gaps: Floats) -> Floats:
     return np.asarray((margins[:-1] + margins[1:] - gaps) * 0.5)
 
 
-def mends(margins: Floats) -> bool:
-    """Is the limit broken at the start of (n,) margins, n > 1, and never more so later? Source: X13, design 8."""
-    return len(margins) > 1 and bool(margins[0] < 0.0) and bool((margins[1:] >= margins[:-1] - EPSILON).all())
+def mends(margins: list[float]) -> bool:
+    """Is the limit broken at the start of n > 1 margins, and never more so later? Source: X13, design 8."""
+    return len(margins) > 1 and margins[0] < 0.0 and all(b >= a - EPSILON for a, b in pairwise(margins))
 
 
 def judge(
     constraint: str,
     requirements: tuple[str, ...],
-    margins_m: Floats,
-    between_m: Floats | None,
+    margins_m: Margins,
+    between_m: Margins | None,
     spare: str,
     lack: str,
     unknown: str,
@@ -60,19 +61,25 @@ def judge(
     spare: what it is ("terrain"); lack: the sentence for a failure, with {} for the number; unknown: the sentence where a
     margin is no number. far: margins from SPARE_M on are only known to be at least that.
     """
+    # Of so few numbers a list is faster than an array.
+    margins = _listed(margins_m)
     # Between two samples it can only be less than at either.
-    lowest = float(np.minimum.reduce(between_m if between_m is not None and between_m.size else margins_m))
+    lowest = min((_listed(between_m) if between_m is not None else ()) or margins)
     # One sample that is no number spoils the whole, even if it would be far away.
-    if not math.isfinite(lowest + float(np.add.reduce(margins_m))):
+    if not math.isfinite(lowest + sum(margins)):
         return Finding(constraint, requirements, None, "m", False, unknown)
     if lowest >= -EPSILON:
         lowest = max(lowest, 0.0)
         size = f"at least {SPARE_M:.0f} m" if far and lowest >= SPARE_M else amount(lowest)
         return Finding(constraint, requirements, lowest, "m", True, f"{spare}: {size} to spare")
     text = lack.format(amount(lowest))
-    if mends(margins_m):
+    if mends(margins):
         return Finding(constraint, requirements, lowest, "m", True, f"{text} already, and this does not make it worse")
     return Finding(constraint, requirements, lowest, "m", False, text)
+
+
+def _listed(margins: Margins) -> list[float]:
+    return margins.tolist() if isinstance(margins, np.ndarray) else list(margins)
 
 
 def worst(findings: Sequence[Finding]) -> Finding:
