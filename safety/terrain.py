@@ -157,7 +157,7 @@ class Terrain:
         halves[0], halves[1], halves[2] = half_n, half_e, tall.ravel()[kept]
         across = up.shape[1]
         first = kept + kept // (across - 1) if across > 1 else kept
-        corners = up.ravel()[first + np.array(((0,), (across,), (1,), (across + 1,)))]
+        corners = up.ravel()[first + np.array(((0,), (across,), (across + 1,), (1,)))]
         starts = middles[:2] - ((0.5 * (n_row + n_col),), (0.5 * (e_row + e_col),))
         maps = _maps(self.steps_ne_m, starts[0], starts[1], corners)
         # About the middle of an unknown cell there may be anything as far as to its farthest corner.
@@ -311,16 +311,15 @@ _ONES = np.ones(3)
 def _maps(
     steps: tuple[tuple[float, float], tuple[float, float]], north: Floats, east: Floats, corners: Floats
 ) -> Floats:
-    """The maps of `_Cells` from the place of c cells' first corners and (4, c) heights of 00, 10, 01, 11, about the centre."""
+    """The maps of `_Cells` from the place of c cells' first corners and (4, c) heights of 00, 10, 11, 01, about the centre."""
     (n_row, n_col), (e_row, e_col) = steps
     first = corners[0]
-    # Sides from the first corner to 10, 01, 11: constant over the ground, each cell's own upwards.
-    sides_n, sides_e = np.array(((n_row,), (n_col,), (n_row + n_col,))), np.array(((e_row,), (e_col,), (e_row + e_col,)))
+    # Sides from the first corner to 10, 11, 01: constant over the ground, each cell's own upwards.
+    sides_n, sides_e = np.array(((n_row,), (n_row + n_col,), (n_col,))), np.array(((e_row,), (e_row + e_col,), (e_col,)))
     sides_u = corners[1:] - first
     maps = np.empty((4, 13, first.size))
     # Triangles (00, 10, 11) and (00, 11, 01): sides p and q. The normal is p x q.
-    p, q = [0, 2], [2, 1]
-    p_n, p_e, p_u, q_n, q_e, q_u = sides_n[p], sides_e[p], sides_u[p], sides_n[q], sides_e[q], sides_u[q]
+    p_n, p_e, p_u, q_n, q_e, q_u = sides_n[:2], sides_e[:2], sides_u[:2], sides_n[1:], sides_e[1:], sides_u[1:]
     normal_n, normal_e, normal_u = p_e * q_u - q_e * p_u, q_n * p_u - p_n * q_u, p_n * q_e - p_e * q_n
     shrink = 1.0 / (normal_n * normal_n + normal_e * normal_e + normal_u * normal_u)
     unit = np.sqrt(shrink)
