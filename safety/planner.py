@@ -34,6 +34,17 @@ def stopping_m(speed_m_s: float, limits: Limits) -> float:
     return speed_m_s * limits.lag_s + speed_m_s**2 / (2.0 * limits.stop_deceleration_m_s2)
 
 
+def length_reaching_m(reach_m: float, speed_m_s: float, limits: Limits) -> float:
+    """How long a straight move may be that ends, stopping distance included, reach_m from its start. Source: X11."""
+    # A longer one coasts as far as any; a short one never gets to its speed.
+    length_m = reach_m - stopping_m(speed_m_s, limits)
+    if length_m >= speed_m_s**2 / limits.acceleration_m_s2:
+        return length_m
+    per_square = 1.0 / limits.acceleration_m_s2 + 0.5 / limits.stop_deceleration_m_s2
+    peak_m_s = (math.sqrt(limits.lag_s**2 + 4.0 * per_square * reach_m) - limits.lag_s) / (2.0 * per_square)
+    return float(peak_m_s**2 / limits.acceleration_m_s2)
+
+
 def plan_translation(
     primitive: Primitive,
     start: Ned,

@@ -163,7 +163,14 @@ class Terrain:
         # About the middle of an unknown cell there may be anything as far as to its farthest corner.
         radius_m = 0.5 * max(math.hypot(n_row + n_col, e_row + e_col), math.hypot(n_row - n_col, e_row - e_col))
         return TerrainPatch(
-            self, centre, half, reach_m, _Cells(maps, middles, halves), unknown, radius_m, border=not inside_m >= level_m
+            self,
+            centre,
+            half,
+            reach_m,
+            _Cells(maps, middles, halves),
+            unknown,
+            radius_m,
+            border=not inside_m >= level_m,
         )
 
 
@@ -315,7 +322,10 @@ def _maps(
     (n_row, n_col), (e_row, e_col) = steps
     first = corners[0]
     # Sides from the first corner to 10, 11, 01: constant over the ground, each cell's own upwards.
-    sides_n, sides_e = np.array(((n_row,), (n_row + n_col,), (n_col,))), np.array(((e_row,), (e_row + e_col,), (e_col,)))
+    sides_n, sides_e = (
+        np.array(((n_row,), (n_row + n_col,), (n_col,))),
+        np.array(((e_row,), (e_row + e_col,), (e_col,))),
+    )
     sides_u = corners[1:] - first
     maps = np.empty((4, 13, first.size))
     # Triangles (00, 10, 11) and (00, 11, 01): sides p and q. The normal is p x q.
