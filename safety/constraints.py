@@ -84,11 +84,17 @@ def findings(
     return tuple(found)
 
 
-def nearby(situation: Situation, path: Path, limits: Limits) -> Situation:
+def nearby(
+    situation: Situation,
+    path: Path,
+    limits: Limits,
+    cut: Callable[[World, Ned, float, Ned], World] = World.near,
+) -> Situation:
     """The situation without what cannot fail a rule on this path or a part of it; for many cheap decisions.
 
     Margins are the same, but those to what stands still are cut off at SPARE_M or more beyond what is required. It holds for
-    paths that start where this one does, stay in the box about it, end no later and have no more slack.
+    paths that start where this one does, stay in the box about it, end no later and have no more slack. cut: how to cut
+    the world down to a reach about a box.
     """
     vehicle, world = situation.vehicle, situation.world
     terrain = world.terrain
@@ -104,14 +110,9 @@ def nearby(situation: Situation, path: Path, limits: Limits) -> Situation:
     if not (math.isfinite(reach_m + until_s) and np.isfinite(path.points_ned_m).all()):
         # Nothing can be left out; the rules will say what is missing.
         return situation
-    around_m = reach_m + half.norm
     return replace(
         situation,
-        world=World(
-            terrain.near(centre, reach_m, half) if terrain is not None else None,
-            world.obstacles.near(centre, around_m),
-            world.geofence.near(centre, around_m) if world.geofence is not None else None,
-        ),
+        world=cut(world, centre, reach_m, half),
         neighbours=others.neighbours_that_matter(
             situation, path.points_ned_m[0], travel_m, path.slack_m, until_s, limits
         ),

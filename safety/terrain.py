@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safety.vocabulary import Floats, Ned
+from safety.vocabulary import POINT, Floats, Ned
 
-POINT = Ned(0.0, 0.0, 0.0)
-"""A box without extent."""
 FEW = 48
 """Leaving cells out of a question pays only where there are more than so many."""
 

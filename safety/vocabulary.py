@@ -43,6 +43,10 @@ class Ned(NamedTuple):
         return math.isfinite(self.north) and math.isfinite(self.east) and math.isfinite(self.down)
 
 
+POINT = Ned(0.0, 0.0, 0.0)
+"""Half the sides of a box without extent."""
+
+
 class Geodetic(NamedTuple):
     """WGS-84 latitude and longitude in degrees, altitude above mean sea level in metres."""
 
