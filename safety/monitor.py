@@ -13,10 +13,12 @@ from typing import Literal
 
 import numpy as np
 
+from safety.bounds import profile
 from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
 from safety.planner import SPACING_M, stopping_m
 from safety.situation import Situation, near_as_before
+from safety.terrain import TerrainPatch
 from safety.vocabulary import POINT, Finding, Ned, Path, Plan
 
 LOOK_AHEAD_S = 2.0
@@ -101,7 +103,7 @@ def watch(
         breaches += _envelope(plan, elapsed_s, speed_m_s, situation, limits)
     return Watch(
         tuple(breaches),
-        _clearance_m(situation, here) if plan is not None else None,
+        _clearance_m(situation, scene, ahead, here) if plan is not None else None,
         _distance(now, "separation", limits.separation_m),
         {(kind, f.constraint): f.margin for kind, f in found if f.margin is not None and f.margin < 0.0},
     )
@@ -181,13 +183,21 @@ def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
     return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
 
 
-def _clearance_m(situation: Situation, here: Path) -> float | None:
-    """The distance to terrain and obstacles, for the record; None where neither is declared or known."""
+def _clearance_m(situation: Situation, scene: Situation, ahead: Path, here: Path) -> float | None:
+    """The distance to terrain and obstacles, for the record; None where neither is declared or known.
+
+    scene: the situation cut down to what is near the path ahead, which starts here.
+    """
     world, place = situation.world, situation.vehicle.position
     distances: list[float] = []
-    if world.terrain is not None and place.finite:
-        ground = near_as_before(world, place, RECORDED_M, POINT).terrain
-        distances += ground.clearance_m(here.points_ned_m).tolist() if ground is not None else []
+    ground = scene.world.terrain
+    if ground is not None and place.finite:
+        # As the rules found it just before, unless it is farther than they had to look.
+        clearance_m = float(profile(ahead, ground)[1][0])
+        if isinstance(ground, TerrainPatch) and abs(clearance_m) >= ground.reach_m:
+            wide = near_as_before(world, place, RECORDED_M, POINT).terrain
+            clearance_m = float(wide.clearance_m(here.points_ned_m)[0]) if wide is not None else math.nan
+        distances.append(clearance_m)
     if len(world.obstacles):
         distances += world.obstacles.distance_m(here.points_ned_m).ravel().tolist()
     least_m = min((d for d in distances if math.isfinite(d)), default=math.nan)
