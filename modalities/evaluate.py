@@ -23,6 +23,7 @@ PADDING_S = 2.0
 DEFAULT_THRESHOLD = 0.7
 TOLERATED_FALSE_MOVES = 0.005
 """What share of the recordings without a command may become a request at the chosen threshold."""
+NEGLIGIBLE_RECALL = 0.01
 _THRESHOLDS = tuple(round(0.05 * i, 2) for i in range(2, 20))
 
 
@@ -102,18 +103,17 @@ def evaluate_voice(
 
 
 def choose_threshold(trials: Sequence[Trial]) -> float:
-    """The threshold with the highest recall among those that keep false requests tolerable; of several, the nearest to
-    the default. Where none does: the one with the fewest false requests.
+    """The threshold nearest to the default among those that keep false requests tolerable and lose no more than
+    NEGLIGIBLE_RECALL of what the best of these understands. Where false requests are too many at each: where they are fewest.
     """
     empty = [trial for trial in trials if trial.expected is None]
     asked = [trial for trial in trials if trial.expected is not None]
-
-    def rank(threshold: float) -> tuple[int, int, float]:
-        false = sum(_false_move(trial, threshold) for trial in empty)
-        right = sum(_outcome(trial, threshold) == "right" for trial in asked)
-        return max(0, false - int(TOLERATED_FALSE_MOVES * len(empty))), -right, abs(threshold - DEFAULT_THRESHOLD)
-
-    return min(_THRESHOLDS, key=rank)
+    tolerated = int(TOLERATED_FALSE_MOVES * len(empty))
+    false = {t: max(tolerated, sum(_false_move(trial, t) for trial in empty)) for t in _THRESHOLDS}
+    fewest = [t for t in _THRESHOLDS if false[t] == min(false.values())]
+    right = {t: sum(_outcome(trial, t) == "right" for trial in asked) for t in fewest}
+    enough = max(right.values()) - NEGLIGIBLE_RECALL * len(asked)
+    return min((t for t in fewest if right[t] >= enough), key=lambda t: abs(t - DEFAULT_THRESHOLD))
 
 
 def percentile_ms(latencies_s: Sequence[float], percent: float) -> float | None:

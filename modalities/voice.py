@@ -1,8 +1,8 @@
 """Speech to requests with VOSK: two grammars on the same audio, STOP from partial results, a prompt end of utterance.
 
 One recogniser (the *commands* ear) knows the legal phrases and next to nothing else, as the paper's does; it finds them
-well but bends other speech into them. The other (the *words* ear) knows everyday words too. What an utterance was is decided by
-comparing how well each explains the audio. Source: paper section on voice-based maneuvers, design 3.
+well but bends other speech into them. The other (the *words* ear) knows everyday words too. What an utterance was is
+decided by comparing how well each explains the audio. Source: paper section on voice-based maneuvers, design 3.
 """
 
 from __future__ import annotations

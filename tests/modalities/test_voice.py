@@ -13,7 +13,7 @@ import pytest
 import vosk
 
 from modalities.audio import AudioError, Chunk, Samples, chunks, quiet, read_audio
-from modalities.evaluate import EvaluationError, evaluate_voice, hear
+from modalities.evaluate import Answer, EvaluationError, Trial, choose_threshold, evaluate_voice, hear
 from modalities.models import ModelError, VoiceModel
 from modalities.phrases import PhraseTable
 from modalities.script import read_script
@@ -164,6 +164,22 @@ def test_evaluation_of_the_shipped_recordings(voice_model: VoiceModel) -> None:
             assert 300.0 <= row["latency_ms_p50"] <= 500.0
     assert 0.1 <= result["threshold"] <= 0.95
     assert result["model"] == voice_model.name
+
+
+def trial(expected: Command | None, *heard: tuple[Command, float]) -> Trial:
+    answers = tuple(Answer(Heard(command, None, confidence, "", 1.0, 1.3), 0.3) for command, confidence in heard)
+    return Trial("any", expected, answers)
+
+
+def test_the_chosen_threshold_keeps_out_false_requests_before_it_lets_in_right_ones() -> None:
+    clear = [trial(Command.GO_UP, (Command.GO_UP, 0.97)), trial(None)]
+    assert choose_threshold(clear) == 0.7
+    assert choose_threshold([*clear, trial(None, (Command.GO_UP, 0.8))]) == 0.85
+    assert choose_threshold([*clear, trial(Command.GO_UP, (Command.GO_UP, 0.5))]) == 0.5
+    assert choose_threshold([*clear, trial(None, (Command.STOP, 1.0))]) == 0.7
+    assert (
+        choose_threshold([*clear, trial(None, (Command.GO_UP, 0.5)), trial(Command.GO_UP, (Command.GO_UP, 0.5))]) == 0.7
+    )
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real recordings here: ../shared/data/speech")
