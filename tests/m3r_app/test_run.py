@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import os
 import signal
+import socket
 import time
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
 
 from m3r_app.recorder import read_header, read_record
 from safety.limits import Limits
@@ -203,6 +204,15 @@ def test_a_frozen_app_is_ended_and_the_drone_holds(tmp_path: Path) -> None:
         sim.wait("red", mode="LOITER")
 
 
+def other_station_lands(address: str) -> None:
+    """A second ground station commands AUTO.LAND. MAVLink: COMMAND_LONG, MAV_CMD_DO_SET_MODE."""
+    host, port = address.removeprefix("udpout://").split(":")
+    station = mavlink.MAVLink(None, srcSystem=250, srcComponent=190)
+    command = station.command_long_encode(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 6, 0, 0, 0, 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.sendto(command.pack(station), (host, int(port)))
+
+
 def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
     """X3: another ground station lands the drone; nothing of ours brings it back."""
     with simulated(PLAIN, tmp_path) as sim:
@@ -211,15 +221,13 @@ def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
             stdin="0.2 panel turn right\n4 panel stop\n5 panel go left\n",
         )
         app.until("motion", status="started")
-        other = mavutil.mavlink_connection(sim.also["red"].replace("udpout://", "udpout:"), source_system=250)
-        other.mav.command_long_send(1, 1, mavutil.mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 4, 6, 0, 0, 0, 0)
+        other_station_lands(sim.also["red"])
         released = app.until("pair", status="released")
         assert "LAND" in released["reasons"][0]
         ran = app.finish()
         assert sim.last("red")["mode"] == "LAND"
         assert ran.verdicts()["script-3"] == "rejected"
         assert [f["constraint"] for f in ran.of("decision", request="script-3")[0]["findings"]] == ["paired"]
-        other.close()
 
 
 def test_a_vehicle_that_falls_silent_ends_the_run(tmp_path: Path) -> None:
@@ -366,8 +374,6 @@ def test_a_vehicle_that_never_answers_is_exit_3() -> None:
 
 def test_a_port_that_somebody_holds_is_exit_2(tmp_path: Path) -> None:
     """MAVSDK would share it silently and lose telemetry."""
-    import socket
-
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
         held.bind(("127.0.0.1", 0))
         port = held.getsockname()[1]
