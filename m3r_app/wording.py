@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from safety.vocabulary import Decision, Finding, Primitive, Verdict
+from safety.vocabulary import Decision, Finding, ManeuverRequest, Primitive, Verdict
 
 WORD_OF: dict[Primitive, str] = {
     Primitive.MOVE_LEFT: "left",
@@ -18,6 +18,11 @@ WORD_OF: dict[Primitive, str] = {
 
 
 MOVES = frozenset({"left", "right", "forward", "back", "up", "down"})
+
+
+def asked(request: ManeuverRequest) -> str:
+    """What was asked for, in words."""
+    return request.command.value.replace("go_", "").replace("_", " ")
 
 
 def reasons(findings: tuple[Finding, ...]) -> str:
