@@ -131,6 +131,7 @@ MOVES: dict[str, Callable[[float], Finding]] = {
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize("case", MOVES)
 def test_a_move_passes_exactly_up_to_the_limit(case: str, offset: float) -> None:
+    """R3, R4, G2: terrain and obstacles; G5: height; R7: workspace; X1: session; G4: fence; X2: standoff."""
     found = MOVES[case](offset)
     assert number(found) == pytest.approx(offset, abs=1e-9)
     assert found.passed == (offset >= 0.0)

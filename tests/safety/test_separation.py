@@ -70,6 +70,7 @@ def test_closest_approach_is_that_of_a_dense_sampling(seed: int, count: int, sla
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_the_margin_is_exact_about_the_limit(offset: float) -> None:
+    """R5, R6, G3: where both will be, not where they are."""
     ahead = sky(("green", at(1.0 + EXACT.separation_m + offset), STILL, 0.0, NOW_S))
     found = separation(north(), situation(neighbours=ahead), EXACT)
     assert number(found) == pytest.approx(offset, abs=1e-9)

@@ -59,6 +59,7 @@ def facing(**changes: Any) -> Situation:
 
 @pytest.mark.parametrize("command", list(PRIMITIVE_OF))
 def test_in_the_open_everything_is_approved_whole(command: Command) -> None:
+    """R1, R2: every command is its own primitive, and yields a plan of that, judged by every rule."""
     decision = decided(command, facing())
     assert decision.verdict is Verdict.APPROVED
     assert decision.primitive is PRIMITIVE_OF[command]
