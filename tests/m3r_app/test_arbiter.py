@@ -793,6 +793,34 @@ def test_a_request_cancels_a_way_back_that_waits_for_airspace() -> None:
     assert len(table.effects(Fly)) == 1
 
 
+def test_a_way_back_without_airspace_is_announced_anew_later() -> None:
+    """X10: denied, it stays where it is and says why; granted later, it flies."""
+    table = held()
+    table.grant = "denied"
+    table.until(lambda: any("not returning yet, the airspace is not ours" in text for text in table.said()), 6.0)
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert len(table.effects(Fly)) == 1
+    assert not table.decisions("return")
+    table.grant = "granted"
+    table.until(State.RETURN_TO_ANCHOR, 3.0 + table.state.limits.delay_s)
+    assert len([text for text in table.said() if "returning to the anchor in" in text]) == 2
+
+
+def test_an_announced_way_back_waits_until_it_is_safe_again() -> None:
+    """Somebody reserves the airspace between: the two seconds begin anew once it is free."""
+    table = held()
+    table.until(lambda: table.state.return_at_s is not None, 3.0)
+    anchor = PLACE
+    table.volumes = (ReservedVolume("blue", anchor, anchor, 0.5, table.now_s, table.now_s + 60.0),)
+    table.wait(4.0)
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert table.state.return_at_s is None
+    table.volumes = ()
+    freed_s = table.now_s
+    table.until(State.RETURN_TO_ANCHOR, 4.0)
+    assert table.now_s - freed_s >= table.state.limits.return_after_s
+
+
 def test_a_failed_way_back_is_not_tried_for_ever() -> None:
     table = returning()
     table.sky = ball("blue", table.position.plus(Ned(4.0, 0.0, 0.0)), Ned(-3.0, 0.0, 0.0), table.now_s)
