@@ -45,7 +45,7 @@ demo: setup
 	fi
 
 test: models
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600

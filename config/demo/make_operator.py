@@ -5,7 +5,6 @@
 Every line's last word ends at the line's time, so that recording and script ask for the same thing at the same moment.
 """
 
-
 from __future__ import annotations
 
 import argparse

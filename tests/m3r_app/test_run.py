@@ -45,6 +45,7 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Simulated, Pat
     return ran, sim, record
 
 
+@pytest.mark.xdist_group("story")
 def test_a_story_ends_normally(story: tuple[Ran, Simulated, Path]) -> None:
     """The contract: strict JSON only, `end` last, exit 0, every object stamped in order."""
     ran, _, _ = story
@@ -55,6 +56,7 @@ def test_a_story_ends_normally(story: tuple[Ran, Simulated, Path]) -> None:
     assert all(a["t"] <= b["t"] for a, b in pairwise(ran.events))
 
 
+@pytest.mark.xdist_group("story")
 def test_every_maneuver_request_gets_exactly_one_final_decision(story: tuple[Ran, Simulated, Path]) -> None:
     """The contract; STOP gets none."""
     ran, _, _ = story
@@ -70,6 +72,7 @@ def test_every_maneuver_request_gets_exactly_one_final_decision(story: tuple[Ran
     assert "script-8" not in verdicts  # it confirmed script-7 and never flies twice
 
 
+@pytest.mark.xdist_group("story")
 def test_a_low_confidence_request_is_blocked_and_says_why(story: tuple[Ran, Simulated, Path]) -> None:
     """The paper's temporal property: detected with low confidence, so the next state is Blocked."""
     ran, _, _ = story
@@ -81,6 +84,7 @@ def test_a_low_confidence_request_is_blocked_and_says_why(story: tuple[Ran, Simu
     assert after == {"Blocked", "ManeuverRequestValidated"}
 
 
+@pytest.mark.xdist_group("story")
 def test_stop_ends_the_motion_and_continue_takes_up_the_rest(story: tuple[Ran, Simulated, Path]) -> None:
     """X4, X12."""
     ran, _, _ = story
@@ -90,6 +94,7 @@ def test_stop_ends_the_motion_and_continue_takes_up_the_rest(story: tuple[Ran, S
     assert decision["requested_m"] == pytest.approx(1.0 - gone_m, abs=0.05)
 
 
+@pytest.mark.xdist_group("story")
 def test_the_measured_motion_is_the_true_motion(story: tuple[Ran, Simulated, Path]) -> None:
     """Bounds hold on the true state: speed, turn rate, displacement."""
     ran, sim, _ = story
@@ -107,6 +112,7 @@ def test_the_measured_motion_is_the_true_motion(story: tuple[Ran, Simulated, Pat
     assert left["max_speed_m_s"] <= limits.speed_m_s + limits.speed_tolerance_m_s
 
 
+@pytest.mark.xdist_group("story")
 def test_an_interrupted_turn_is_followed_by_facing_the_operator(story: tuple[Ran, Simulated, Path]) -> None:
     """Design 13: the nose is on the operator again when the next plan has been flown."""
     ran, sim, _ = story
@@ -117,6 +123,7 @@ def test_an_interrupted_turn_is_followed_by_facing_the_operator(story: tuple[Ran
     assert abs(math.remainder(last["yaw_deg"] - bearing_deg, 360.0)) < 10.0
 
 
+@pytest.mark.xdist_group("story")
 def test_the_drone_is_left_in_hold(story: tuple[Ran, Simulated, Path]) -> None:
     """Contract, design 15."""
     ran, sim, _ = story
@@ -125,6 +132,7 @@ def test_the_drone_is_left_in_hold(story: tuple[Ran, Simulated, Path]) -> None:
     assert sim.last("red")["armed"]
 
 
+@pytest.mark.xdist_group("story")
 def test_the_record_holds_all_of_it(story: tuple[Ran, Simulated, Path]) -> None:
     """Inputs, decisions with findings, setpoints, telemetry, modes."""
     ran, _, record = story
@@ -270,7 +278,7 @@ heading_deg = 180.0
 state = "hold"
 params = { COM_OF_LOSS_T = 0.5, COM_OBL_RC_ACT = 5 }
 [traffic.rogue]
-waypoints = [[15.0, -30.0, 6.0], [15.0, 30.0, 6.0]]
+waypoints = [[15.0, -18.0, 6.0], [15.0, 18.0, 6.0]]
 speed_m_s = 3.0
 loop = false
 start_delay_s = 2.0
@@ -283,7 +291,7 @@ def test_an_actual_violation_is_told_and_exits_4(tmp_path: Path) -> None:
     scenario.write_text(AIMED)
     ran = m3r(
         "run", "--headless", "--pair", "red", "--script", "-", "--scenario", str(scenario), "--timeout", "40",
-        stdin="25 panel stop\n",
+        stdin="12 panel stop\n",
     )  # fmt: skip
     assert ran.status == 4, ran.told
     violation = ran.of("violation", kind="actual")[0]

@@ -63,11 +63,7 @@ def test_real_people_fly_the_drone(tmp_path: Path) -> None:
 
 def test_the_projects_own_recordings_fly_the_drone(tmp_path: Path) -> None:
     """The same on any machine that has a voice model: synthetic voices, a chatter that asks for nothing."""
-    clip = {name: min((OWN / name).iterdir()) for name in ("go_forward", "go_down", "stop", "none")}
-    ran = fly(
-        [(0.5, clip["go_forward"]), (5.0, clip["none"]), (1.5, clip["go_down"]), (0.8, clip["stop"])],
-        tmp_path,
-    )
-    check(ran, ["go_forward", "go_down", "stop"])
-    assert ran.of("motion", request="voice-1", status="completed")
-    assert ran.of("motion", request="voice-2", status="aborted")
+    clip = {name: min((OWN / name).iterdir()) for name in ("go_down", "stop", "none")}
+    ran = fly([(0.5, clip["none"]), (1.5, clip["go_down"]), (0.8, clip["stop"])], tmp_path)
+    check(ran, ["go_down", "stop"])
+    assert ran.of("motion", request="voice-1", status="aborted")

@@ -44,7 +44,7 @@ def test_ends_when_its_parents_end_of_the_pipe_closes() -> None:
     [
         ("seed", "sead", [], "sead: there is no such key"),
         ("COM_OF_LOSS_T", "COM_OF_LOS_T", [], "vehicles.red.params: there is no parameter COM_OF_LOS_T"),
-        ("flat_amsl_m = 540.0", 'dem = "none.tif"', [], "none.tif cannot be read"),
+        ("flat_amsl_m = 540.0", 'dem = "none.tif"', [], "none.tif does not exist"),
         ("seed", "seed", ["--port-base", "80"], "--port-base 80"),
         ("seed", "seed", ["--port-base", "65534"], "--port-base 65534"),
         ("seed", "seed", ["--truth", "/nowhere/truth.jsonl"], "/nowhere/truth.jsonl"),
