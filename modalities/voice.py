@@ -14,7 +14,7 @@ from pathlib import Path
 
 import vosk
 
-from modalities.audio import SAMPLE_RATE_HZ, Chunk
+from modalities.audio import SAMPLE_RATE_HZ, Chunk, Gap
 from modalities.models import ModelError
 from modalities.phrases import OTHER_WORDS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
 from modalities.voice_end import VoiceEnd
@@ -28,6 +28,8 @@ SETTLED_S = 0.6
 """A partial result that stays the same for this long ends the utterance where noise hides the end of the voice."""
 STOP_GAP = 2.0
 """A final *stop* of the commands ear alone counts if the words ear explains the audio better by no more than this."""
+BEFORE_VOICE_S = 0.5
+"""Sound missing this shortly before a voice was heard may have held the beginning of what it said."""
 ALTERNATIVES = 8
 UNKNOWN_WORD = "[unk]"
 
@@ -82,6 +84,11 @@ class Ear:
             return segments[0]
         return [Hypothesis(" ".join(s[0].text for s in segments).strip(), sum(s[0].score for s in segments))]
 
+    def forget(self) -> None:
+        """Drop the utterance unheard."""
+        self._recognizer.Reset()
+        self._segments, self.partial = [], ""
+
     def _keep(self, result: str) -> None:
         heard = [
             Hypothesis(normalise(a["text"]), float(a["confidence"])) for a in json.loads(result).get("alternatives", [])
@@ -109,6 +116,8 @@ class Recognizer:
         self._commands = Ear(model, (*phrases, *unknown))
         self._words = Ear(model, (*phrases, *single, *unknown))
         self._voice = VoiceEnd()
+        self._hole_s = -math.inf
+        self._began_s = math.inf
         self._begin_utterance()
 
     @property
@@ -126,10 +135,27 @@ class Recognizer:
         self._words.accept(data)
         if self._commands.partial != before:
             self._changed_s = now_s
+        if not math.isfinite(self._began_s) and (math.isfinite(self._voice.last_voice_s) or self.partial):
+            self._began_s = now_s
         heard = [self._stop(now_s)] if self._stop_stands() else []
         if self._is_over(now_s):
             heard += self._close(now_s)
         return heard
+
+    def gap(self, gap: Gap) -> None:
+        """Sound is missing. No request is made of half an input: what is open is forgotten if the source went away, and
+        only STOP may come of it otherwise.
+        """
+        self._hole_s = gap.captured_at_s
+        self._voice.cut()
+        if gap.ended:
+            self.forget()
+
+    def forget(self) -> None:
+        """Drop the utterance that is open, unheard."""
+        self._commands.forget()
+        self._words.forget()
+        self._begin_utterance()
 
     def finish(self, now_s: float) -> list[Heard]:
         """The recording has ended: close what is open."""
@@ -139,6 +165,7 @@ class Recognizer:
         self._stop_partials = 0
         self._stopped = False
         self._changed_s = -math.inf
+        self._began_s = math.inf
         self._voice.forget()
 
     def _stop_stands(self) -> bool:
@@ -173,6 +200,7 @@ class Recognizer:
         end_s = self._voice_end_s(now_s)
         commands, words = self._commands.close(), self._words.close()
         stopped = self._stopped
+        holed = self._hole_s >= min(self._began_s, now_s) - BEFORE_VOICE_S
         self._begin_utterance()
         if stopped or not commands or not words:  # after STOP the rest of an utterance asks for nothing
             return []
@@ -183,6 +211,8 @@ class Recognizer:
         ):
             if stands:
                 return [Heard(Command.STOP, None, 1.0, text, end_s, now_s)]
+        if holed:
+            return []
         phrase, text = self._phrase_in(commands, words)
         if phrase is None or phrase.command is Command.STOP:
             return []
