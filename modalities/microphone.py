@@ -272,9 +272,10 @@ class Microphone:
         if now_s - self._told_s >= REPEAT_S:
             self._told_s = now_s
             lost = self.lost
-            whose = "its own" if lost.device >= lost.ours else "this computer is too busy"
+            cause = "the device overflowed" if lost.device >= lost.ours else "this computer is too busy"
+            times = lost.device + lost.ours
             self._say(
-                f"{self._label} lost sound {lost.device + lost.ours} times ({whose}): what was being said does not count, say it again"
+                f"{self._label} lost some sound ({cause}, {times} so far): what was just said does not count, say it again"
             )
 
     def _came_back(self) -> bool:

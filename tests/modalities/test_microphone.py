@@ -269,11 +269,9 @@ def test_lost_sound_is_a_gap_and_told_now_and_then(sound: StandIn) -> None:
     until(lambda: len(ears.passed) == 6)
     assert [isinstance(one, Gap) for one in ears.passed] == [False, True, False, False, True, False]
     assert not any(gap.ended for gap in ears.gaps)
-    assert ears.said == [
-        "the microphone Headset: USB Audio lost sound 2 times (its own): what was being said does not count, say it again"
-    ] or ears.said == [
-        "the microphone Headset: USB Audio lost sound 1 times (its own): what was being said does not count, say it again"
-    ]
+    (said,) = ears.said  # the second is too soon after the first
+    assert said.startswith("the microphone Headset: USB Audio lost some sound (the device overflowed, ")
+    assert said.endswith(" so far): what was just said does not count, say it again")
     assert ears.microphone.lost == Lost(2, 0, 0)
     ears.close()
 
