@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import difflib
+import functools
 import re
 from dataclasses import dataclass
 from types import ModuleType
@@ -42,16 +45,33 @@ def portaudio() -> ModuleType:
         ) from error
     except OSError as error:
         raise MicrophoneError(f"there is no PortAudio library for microphones: {LIBRARY_REMEDY}") from error
+    _hush()
     module: ModuleType = sounddevice
     return module
+
+
+@functools.cache
+def _hush() -> None:
+    """ALSA and JACK write what they miss straight to standard error, at every look for devices; what matters comes back
+    to us as an error. As their handler serves a C function that does nothing.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # no such library: nothing to silence
+        nothing = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p)
+        ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(nothing)
+        jack = ctypes.CDLL("libjack.so.0")
+        jack.jack_set_error_function(nothing)
+        jack.jack_set_info_function(nothing)
 
 
 def look_again() -> None:
     """Have PortAudio look for devices again. It does so only when initialised, which closes every stream of the process."""
     sounddevice = portaudio()
+    with contextlib.suppress(sounddevice.PortAudioError):  # it was not initialised, because that failed the last time
+        sounddevice._terminate()
     try:
-        sounddevice._terminate()  # the package's documented way, though spelt as private
-        sounddevice._initialize()
+        # Not sounddevice._initialize: that turns standard error off for all threads meanwhile.
+        sounddevice._check(sounddevice._lib.Pa_Initialize(), "Error initializing PortAudio")
+        sounddevice._initialized += 1
     except sounddevice.PortAudioError as error:
         raise MicrophoneError(f"the sound system cannot be opened ({plain(error)}): {NO_DEVICE_REMEDY}") from error
 

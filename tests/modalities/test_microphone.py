@@ -14,7 +14,7 @@ import pytest
 
 from modalities import microphone as microphone_module
 from modalities.audio import Chunk, Gap
-from modalities.audio_devices import InputDevice, MicrophoneError, choose_device, input_devices, plain
+from modalities.audio_devices import InputDevice, MicrophoneError, choose_device, input_devices, look_again, plain
 from modalities.capture import FLOOR_DBFS
 from modalities.microphone import Lost, Microphone
 
@@ -40,6 +40,9 @@ class StandIn(ModuleType):
         self.refuse: Callable[[dict], Exception | None] = lambda _asked: None
         self.opened: list[Stream] = []
         self.looks = 0
+        self.code = 0
+        self._initialized = 1
+        self._lib = SimpleNamespace(Pa_Initialize=lambda: self.code)
 
     def query_devices(self) -> list[dict]:
         speaker = {"name": "speaker", "max_input_channels": 0, "default_samplerate": 48_000.0}
@@ -53,9 +56,12 @@ class StandIn(ModuleType):
 
     def _terminate(self) -> None:
         self.looks += 1
+        self._check(-10000 if self._initialized == 0 else 0, "Error terminating PortAudio")
+        self._initialized -= 1
 
-    def _initialize(self) -> None:
-        pass
+    def _check(self, code: int, text: str) -> None:
+        if code:
+            raise self.PortAudioError(f"{text}: PortAudio not initialized [PaErrorCode {code}]", code)
 
     def RawInputStream(self, **asked) -> Stream:  # noqa: N802 as sounddevice calls it
         error = self.refuse(asked)
@@ -257,6 +263,16 @@ def test_a_device_that_goes_is_told_and_taken_again(sound: StandIn, monkeypatch:
     assert ears.gaps[0].ended
     assert ears.microphone.lost == Lost(0, 0, 1)
     ears.close()
+
+
+def test_a_sound_system_that_comes_up_late_is_looked_for_again(sound: StandIn) -> None:
+    sound.code = -9999
+    for _ in range(2):
+        with pytest.raises(MicrophoneError, match=r"the sound system cannot be opened \(Error initializing PortAudio"):
+            look_again()
+    sound.code = 0
+    look_again()
+    assert sound._initialized == 1
 
 
 def test_lost_sound_is_a_gap_and_told_now_and_then(sound: StandIn) -> None:
