@@ -8,14 +8,18 @@ import difflib
 import functools
 import re
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 LIBRARY_REMEDY = "install the system package libportaudio2"
 
 
 class MicrophoneError(ValueError):
-    """A microphone that cannot be used; one sentence that names it and says what to do."""
+    """A microphone that cannot be used; one sentence that names it and says what to do: `wrong`, a colon, `remedy`."""
+
+    def __init__(self, wrong: str, remedy: str) -> None:
+        super().__init__(f"{wrong}: {remedy}")
+        self.wrong = wrong
+        self.remedy = remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,19 +39,18 @@ class InputDevice:
         return re.sub(r"\s*\(hw:\d+,\d+\)", "", self.name).strip()
 
 
-def portaudio() -> ModuleType:
+def portaudio() -> Any:
     """The sounddevice module. Raises MicrophoneError where it or the PortAudio library is missing."""
     try:
         import sounddevice
     except ImportError as error:
         raise MicrophoneError(
-            "the Python package sounddevice is missing: install m3r again with its dependencies"
+            "the Python package sounddevice is missing", "install m3r again with its dependencies"
         ) from error
     except OSError as error:
-        raise MicrophoneError(f"there is no PortAudio library for microphones: {LIBRARY_REMEDY}") from error
+        raise MicrophoneError("there is no PortAudio library for microphones", LIBRARY_REMEDY) from error
     _hush()
-    module: ModuleType = sounddevice
-    return module
+    return sounddevice
 
 
 @functools.cache
@@ -73,7 +76,7 @@ def look_again() -> None:
         sounddevice._check(sounddevice._lib.Pa_Initialize(), "Error initializing PortAudio")
         sounddevice._initialized += 1
     except sounddevice.PortAudioError as error:
-        raise MicrophoneError(f"the sound system cannot be opened ({plain(error)}): {NO_DEVICE_REMEDY}") from error
+        raise MicrophoneError(f"the sound system cannot be opened ({plain(error)})", NO_DEVICE_REMEDY) from error
 
 
 NO_DEVICE_REMEDY = "plug a microphone in and see that this user may record (group audio, or a running sound server)"
@@ -86,7 +89,7 @@ def input_devices() -> tuple[InputDevice, ...]:
         devices: list[dict[str, Any]] = list(sounddevice.query_devices())
         host_apis: list[dict[str, Any]] = list(sounddevice.query_hostapis())
     except sounddevice.PortAudioError as error:
-        raise MicrophoneError(f"the sound system cannot be asked ({plain(error)}): {NO_DEVICE_REMEDY}") from error
+        raise MicrophoneError(f"the sound system cannot be asked ({plain(error)})", NO_DEVICE_REMEDY) from error
     default = next((api["default_input_device"] for api in host_apis if api["default_input_device"] >= 0), -1)
     return tuple(
         InputDevice(
@@ -106,7 +109,7 @@ def choose_device(name: str | None, devices: tuple[InputDevice, ...]) -> InputDe
     name contains it, in any case. Raises MicrophoneError: none, unknown (with the names there are), or more than one.
     """
     if not devices:
-        raise MicrophoneError(f"there is no microphone: {NO_DEVICE_REMEDY}")
+        raise MicrophoneError("there is no microphone", NO_DEVICE_REMEDY)
     if name is None:
         return next((device for device in devices if device.default), devices[0])
     wanted = name.strip().casefold()
@@ -118,12 +121,12 @@ def choose_device(name: str | None, devices: tuple[InputDevice, ...]) -> InputDe
         return found[0]
     if found:
         raise MicrophoneError(
-            f"microphone {name!r} could be any of {', '.join(d.name for d in found)}: give more of its name"
+            f"microphone {name!r} could be any of {', '.join(d.name for d in found)}", "give more of its name"
         )
     by_folded = {d.name.casefold(): d.name for d in devices}
     near = difflib.get_close_matches(wanted, by_folded, n=1, cutoff=0.5)
     meant = f"did you mean {by_folded[near[0]]!r}? " if near else ""
-    raise MicrophoneError(f"there is no microphone {name!r}: {meant}there are {names}")
+    raise MicrophoneError(f"there is no microphone {name!r}", f"{meant}there are {names}")
 
 
 def plain(error: Exception) -> str:

@@ -225,7 +225,8 @@ class Microphone:
             self._ring, self._shape, self._device = ring, (rate_hz, channels), device
             return
         raise MicrophoneError(
-            f"microphone {device.name} cannot be opened ({reason}): close other programs that use it, or {NO_DEVICE_REMEDY}"
+            f"microphone {device.name} cannot be opened ({reason})",
+            f"close other programs that use it, or {NO_DEVICE_REMEDY}",
         )
 
     def _listen(self) -> Iterator[Chunk | Gap]:
