@@ -54,13 +54,14 @@ class SoundServer:
         client = home / "client.conf"
         client.write_text("autospawn = no\n")
         self.environment = {
-            "HOME": str(home),
-            "XDG_RUNTIME_DIR": str(home),
             "PULSE_RUNTIME_PATH": str(home),
+            "PULSE_STATE_PATH": str(home),
+            "PULSE_COOKIE": str(home / "cookie"),
             "PULSE_SERVER": f"unix:{self._socket}",
             "PULSE_CLIENTCONFIG": str(client),
             "ALSA_CONFIG_PATH": str(asound),
         }
+        self._own = {**os.environ, **self.environment, "HOME": str(home), "XDG_RUNTIME_DIR": str(home)}
         self._process: subprocess.Popen[bytes] | None = None
         self._players: list[subprocess.Popen[bytes]] = []
 
@@ -72,7 +73,7 @@ class SoundServer:
             "-L", " ".join(self._sink),
         ]  # fmt: skip
         with (self._home / "server.log").open("ab") as log:
-            self._process = subprocess.Popen(command, env={**os.environ, **self.environment}, stderr=log)
+            self._process = subprocess.Popen(command, env=self._own, stderr=log)
         self._until(lambda: self._control("info").returncode == 0, "the sound server does not start")
 
     def kill(self) -> None:
@@ -99,9 +100,7 @@ class SoundServer:
         """Begin to play into the sink; returns at once. Other rates and channels are made by the sound server."""
         file = self._home / f"played-{len(self._players)}.wav"
         soundfile.write(file, samples, SAMPLE_RATE_HZ)
-        player = subprocess.Popen(
-            ["paplay", f"--device={SINK}", "--latency-msec=100", str(file)], env={**os.environ, **self.environment}
-        )
+        player = subprocess.Popen(["paplay", f"--device={SINK}", "--latency-msec=100", str(file)], env=self._own)
         self._players.append(player)
         return player
 
@@ -114,7 +113,7 @@ class SoundServer:
     def _control(self, *words: str) -> subprocess.CompletedProcess[bytes]:
         return subprocess.run(
             ["pactl", *words],
-            env={**os.environ, **self.environment},
+            env=self._own,
             capture_output=True,
             check=False,
             timeout=DEADLINE_S,

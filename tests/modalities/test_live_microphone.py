@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import random
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +27,7 @@ from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, mis
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 TABLE = PhraseTable(("red", "green", "blue"))
 DEADLINE_S = 20.0
+SOAK = os.environ.get("M3R_SOAK") == "1"
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"no virtual microphone without {missing()} (apt: {PACKAGES})")
 
@@ -179,6 +182,33 @@ def test_a_device_that_vanishes_mid_phrase_asks_for_nothing_and_is_taken_again(
         server.play(clip("go_right/go-right_0.ogg"))
         until(lambda: ears.requests, "nothing is recognised after the return")
         assert ears.commands == [Command.GO_RIGHT]
+    finally:
+        ears.close()
+
+
+def test_a_loose_plug_asks_for_nothing_that_was_not_said(
+    server_of: Callable[..., SoundServer], loaded: vosk.Model
+) -> None:
+    server = server_of()
+    ears = listen(loaded)
+    rng = random.Random(1)
+    losses = 20 if SOAK else 2
+    try:
+        for number in range(1, losses + 1):
+            server.play(clip("go_left/go-left_0.ogg"))
+            ears.heard(rng.uniform(0.1, 1.6))
+            whole = rng.random() < 0.5
+            server.kill() if whole else server.unplug()
+            until(lambda number=number: ears.microphone.lost.unplugged == number, "the loss is not noticed")
+            server.start() if whole else server.plug()
+            until(lambda number=number: len(ears.said) == 2 * number, "the return is not announced")
+        assert set(ears.commands) <= {Command.GO_LEFT}
+        assert len(ears.commands) <= losses
+        asked = len(ears.commands)
+        ears.heard(0.6)
+        server.play(clip("go_right/go-right_0.ogg"))
+        until(lambda: len(ears.commands) > asked, "nothing is recognised any more")
+        assert ears.commands[asked:] == [Command.GO_RIGHT]
     finally:
         ears.close()
 
