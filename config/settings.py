@@ -101,6 +101,8 @@ class Confidence(Section):
     localization_half_m: Annotated[float, Ge(0.1), Le(5)]
     terrain_confidence_min: Annotated[float, Ge(0.1), Le(1)]
     terrain_half_m: Annotated[float, Ge(0.1), Le(5)]
+    disagreement_m: Annotated[float, Ge(0.1), Le(5)]
+    battery_min: Annotated[float, Ge(0), Le(0.9)]
     telemetry_age_s: Annotated[float, Ge(0.1), Le(2)]
 
 

@@ -9,11 +9,12 @@ import asyncio
 import contextlib
 import math
 import signal
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AsyncExitStack
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 
 from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
@@ -32,11 +33,14 @@ from m3r_app.vehicle import VehicleError
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
 """Exit statuses of the contract; the highest that applies."""
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals after which the drone is left in Hold and the run ends."""
 LOST_S = 5.0
 HELD_S = 5.0
 """So long in EmergencyHold without an approved way back, the drone rests."""
 SETTLE_S = 10.0
 LAST_HOLD_S = 3.0
+T = TypeVar("T")
 Emit = Callable[[dict[str, object]], None]
 
 
@@ -55,14 +59,14 @@ async def run(options: RunOptions, emit: Emit) -> int:
     """
     one = _Run(options, emit)
     loop = asyncio.get_running_loop()
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for name in ENDING:
         loop.add_signal_handler(name, one.interrupted.set)
     # Suspended, it could not fly on: the guard would end it.
     loop.add_signal_handler(signal.SIGTSTP, one.refuse_to_suspend)
     try:
         return await one.whole()
     finally:
-        for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP):
+        for name in (*ENDING, signal.SIGTSTP):
             loop.remove_signal_handler(name)
 
 
@@ -142,11 +146,11 @@ class _Run:
 
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
-            setting = await asyncio.to_thread(prepare, self.options)
-            inputs = await asyncio.to_thread(open_inputs, self.options, setting.colours)
+            setting = await _in_thread(lambda: prepare(self.options))
+            inputs = await _in_thread(lambda: open_inputs(self.options, setting.colours))
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
-            self._open_record(setting, inputs)
+            self._recording = await _in_thread(lambda: self._open_record(setting, inputs))
             fleet = await self._connect(setting, stack)
             guard = Guard(self._say_soon)
             guard.start()
@@ -165,9 +169,9 @@ class _Run:
 
     # ------------------------------------------------------------ before flying
 
-    def _open_record(self, setting: Setting, inputs: Inputs) -> None:
+    def _open_record(self, setting: Setting, inputs: Inputs) -> Recorder | None:
         if self.options.record is None:
-            return
+            return None
         metadata: dict[str, object] = {
             "app": version("m3r"),
             "settings": setting.settings.model_dump(),
@@ -177,7 +181,7 @@ class _Run:
             "world": setting.world,
             "model": inputs.model,
         }
-        self._recording = Recorder(self.options.record, metadata, self._say_soon)
+        return Recorder(self.options.record, metadata, self._say_soon)
 
     async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
         if self.options.vehicles:
@@ -300,6 +304,28 @@ class _Run:
         """Announce, from any thread."""
         with contextlib.suppress(RuntimeError):  # the loop has closed: there is nobody left to tell
             self._loop.call_soon_threadsafe(lambda: self.emit("announce", {"text": sentence}))
+
+
+async def _in_thread(work: Callable[[], T]) -> T:
+    """The result of blocking work. Its thread dies with the process: a pipe that never ends must not keep us (Ctrl-C)."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def post(settle: Callable[[], None]) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has closed: nobody waits any more
+            loop.call_soon_threadsafe(lambda: None if done.done() else settle())
+
+    def run_it() -> None:
+        try:
+            result = work()
+        except Exception as error:  # noqa: BLE001  (it belongs to whoever waits)
+            raised = error
+            post(lambda: done.set_exception(raised))
+        else:
+            post(lambda: done.set_result(result))
+
+    threading.Thread(target=run_it, name="loading", daemon=True).start()
+    return await done
 
 
 @contextlib.asynccontextmanager

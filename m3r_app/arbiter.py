@@ -39,7 +39,7 @@ from m3r_app.events import (
 )
 from m3r_app.fusion import Relation, fused, relate, remember
 from m3r_app.modes import MODE_OF, Cause, State, next_state
-from safety.confidence import input_confidence
+from safety.confidence import input_confidence, unfit_to_fly
 from safety.frames import bearing_deg, enu, wrap_deg
 from safety.monitor import Breach, watch
 from safety.planner import full_speed_m_s, plan_return
@@ -79,6 +79,8 @@ FACING_TIMEOUT_S = 20.0
 RESERVATION_TIMEOUT_S = 1.0
 RECHECK_S = 0.1
 SPEED_FILTER_S = 0.1
+DISAGREEMENT_S = 2.0
+"""Over this time position and velocity are compared."""
 OURS = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 RETURN_ID = "return"
@@ -111,7 +113,7 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             run.tick()
         case Ended() if state.authority:
             run.do(Hold("ended"))
-            run.leave(Cause.RELEASED, "hold", event.reason)
+            run.leave(Cause.RELEASED, "hold", f"{event.reason}, it holds where it is")
         case Ended():
             run.call_off_pairing(event.reason)
     return run.state, tuple(run.effects)
@@ -184,7 +186,7 @@ class _Step:
         relation, other = Relation.NEW, None
         late = self.too_late(request)
         if request.command not in (Command.STOP, Command.ACTIVATE, Command.DISCONNECT) and late is None:
-            relation, other = relate(request, self.state.recent, self.state.limits.fusion_window_s)
+            relation, other = relate(request, self.state.recent, self.state.limits.fusion_window_s, self.sure)
         if relation is Relation.CONFIRMS and other is not None:
             request = fused(request, other.request, request.id if other.refused else other.request.id)
         self.do(
@@ -217,6 +219,10 @@ class _Step:
             case _:
                 self.maneuver(request)
 
+    def sure(self, request: ManeuverRequest) -> bool:
+        """Whether its modality was. Source: G1."""
+        return input_confidence(request, self.state.limits).passed
+
     def remember(self, request: ManeuverRequest, *, refused: bool = False) -> None:
         window_s = self.state.limits.fusion_window_s
         self.be(recent=remember(self.state.recent, request, window_s, refused=refused))
@@ -239,13 +245,10 @@ class _Step:
             self.be(pending=request)
 
     def stop(self, request: ManeuverRequest) -> None:
-        """X4: the hold has been commanded; now the rest. What was refused before cannot be confirmed after."""
+        """X4: the hold has been commanded; now the rest. What was asked before can neither be confirmed nor contradicted."""
         # min() keeps its first argument where the second is NaN.
         stopped_at_s = max(self.state.stopped_at_s, min(self.now_s, request.captured_at_s))
-        self.be(
-            stopped_at_s=stopped_at_s,
-            recent=tuple(r for r in self.state.recent if not r.refused),
-        )
+        self.be(stopped_at_s=stopped_at_s, recent=())
         if self.state.state in (State.PAIRING, State.FACING):
             self.call_off_pairing(STOPPED)
             return
@@ -300,7 +303,9 @@ class _Step:
             self.call_off_pairing("disconnected before it was paired")
             return
         self.do(Hold("disconnect"))
-        self.leave(Cause.RELEASED, self.state.policy.on_disconnect, "disconnected")
+        resumes = self.state.policy.on_disconnect == "resume"
+        why = "disconnected, it resumes its mission" if resumes else "disconnected, it holds where it is"
+        self.leave(Cause.RELEASED, self.state.policy.on_disconnect, why)
 
     def contradiction(self, request: ManeuverRequest, first: ManeuverRequest) -> None:
         """X5: what runs is aborted, both are refused."""
@@ -575,6 +580,7 @@ class _Step:
     def telemetry(self, vehicle: VehicleState) -> None:
         """The newest state of the drone: whose it is, then what it means for what goes on."""
         last, speed_m_s = self.state.vehicle, vehicle.velocity.norm
+        vehicle = replace(vehicle, disagreement=disagreement(vehicle, last))
         if last is not None and math.isfinite(self.state.speed_m_s):
             alpha = min(1.0, max(0.0, vehicle.at_s - last.at_s) / SPEED_FILTER_S)
             speed_m_s = self.state.speed_m_s + alpha * (speed_m_s - self.state.speed_m_s)
@@ -585,18 +591,15 @@ class _Step:
             self.leave(Cause.AUTHORITY_LOST, "nothing", "it is no longer in the air, so it is let go")
             return
         if vehicle.flight_mode not in OURS:
-            unknown = vehicle.flight_mode == "UNKNOWN"
-            who = (
-                "its flight mode is not told any more" if unknown else f"somebody else flies it ({vehicle.flight_mode})"
-            )
-            why = f"{who}; pair again to go on"
-            self.leave(Cause.AUTHORITY_LOST, "nothing", why)
+            self.lose(vehicle.flight_mode)
             return
         flight, limits = self.state.flight, self.state.limits
         if flight is not None and last is not None and not vehicle.at_s - last.at_s <= limits.telemetry_age_s:
             self.drop(Cause.STALLED, "nothing was heard from it for a moment")
         elif flight is not None and vehicle.flight_mode != "OFFBOARD" and self.now_s - flight.started_at_s > ENGAGING_S:
             self.drop(Cause.STALLED, f"the autopilot left offboard for {vehicle.flight_mode}")
+        elif flight is not None and (unfit := unfit_to_fly(vehicle, limits)) is not None:
+            self.drop(Cause.STALLED, unfit)
         match self.state.state:
             case State.FACING:
                 self.facing(vehicle)
@@ -611,6 +614,16 @@ class _Step:
             case State.ARMED | State.DELAYED | State.PLANNED:
                 self.monitor()
         self.recheck()
+
+    def lose(self, flight_mode: str) -> None:
+        """The mode is none that we command. Where nobody is known to have taken over, the drone is held. Source: X3."""
+        if flight_mode == "UNKNOWN":
+            self.do(Hold("unknown mode"))
+            why = "its flight mode is not told any more, so it is told to hold; pair again to go on"
+            self.leave(Cause.AUTHORITY_LOST, "hold", why)
+        else:
+            why = f"its autopilot or somebody else flies it ({flight_mode}); pair again to go on"
+            self.leave(Cause.AUTHORITY_LOST, "nothing", why)
 
     def tick(self) -> None:
         """What must happen by now although nothing else has."""
@@ -879,6 +892,21 @@ class _Step:
                 },
             )
         )
+
+
+def disagreement(vehicle: VehicleState, last: VehicleState | None) -> Ned:
+    """How far the position has lately moved otherwise than the velocity says (m): a frozen or jumping estimate. Source: X6."""
+    if last is None:
+        return Ned(0.0, 0.0, 0.0)
+    dt_s = max(0.0, vehicle.at_s - last.at_s)
+    keep = math.exp(-dt_s / DISAGREEMENT_S)
+    moved = vehicle.position.minus(last.position)
+    return Ned(
+        *(
+            keep * d + m - 0.5 * dt_s * (v + w)
+            for d, m, v, w in zip(last.disagreement, moved, vehicle.velocity, last.velocity, strict=True)
+        )
+    )
 
 
 def _said(request: ManeuverRequest) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -26,21 +27,27 @@ class Remembered:
 
 
 def relate(
-    request: ManeuverRequest, recent: tuple[Remembered, ...], window_s: float
+    request: ManeuverRequest,
+    recent: tuple[Remembered, ...],
+    window_s: float,
+    sure: Callable[[ManeuverRequest], bool] = lambda _request: True,
 ) -> tuple[Relation, Remembered | None]:
-    """How `request` relates to the nearest request of another modality within window_s by capture time."""
-    near = [
-        r
-        for r in recent
-        if r.request.modality is not request.modality
-        and abs(request.captured_at_s - r.request.captured_at_s) <= window_s
-    ]
-    if not near:
-        return Relation.NEW, None
-    other = max(near, key=lambda r: r.request.captured_at_s)
-    if other.request.command is request.command:
-        return Relation.CONFIRMS, other
-    return Relation.CONTRADICTS, other
+    """How `request` relates to those of other modalities within window_s by capture time.
+
+    One that says otherwise outweighs any that agree; but what its own modality was not `sure` of contradicts nobody.
+    """
+    latest: dict[Modality, Remembered] = {}  # who changes their mind has said only the last of it
+    for r in sorted(recent, key=lambda r: r.request.captured_at_s):
+        if r.request.modality is not request.modality:
+            latest[r.request.modality] = r
+    near = [r for r in latest.values() if abs(request.captured_at_s - r.request.captured_at_s) <= window_s]
+    agreeing = [r for r in near if r.request.command is request.command]
+    others = [r for r in near if r.request.command is not request.command and sure(r.request)]
+    if others and sure(request):
+        return Relation.CONTRADICTS, max(others, key=lambda r: r.request.captured_at_s)
+    if agreeing:
+        return Relation.CONFIRMS, max(agreeing, key=lambda r: r.request.captured_at_s)
+    return Relation.NEW, None
 
 
 def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str) -> ManeuverRequest:

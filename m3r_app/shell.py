@@ -23,6 +23,7 @@ from m3r_app.events import (
     LetGo,
     NeighboursHeard,
     Pair,
+    PairingAnswered,
     Release,
     Report,
     Requested,
@@ -130,6 +131,7 @@ class Shell:
         self._commanded_at_s = -math.inf
         self._tasks: set[asyncio.Task[None]] = set()
         self._streaming: asyncio.Task[None] | None = None
+        self._pairing: asyncio.Task[None] | None = None
 
     # ------------------------------------------------------------ running
 
@@ -147,6 +149,8 @@ class Shell:
             self._recording.record("input", now_s, {"kind": type(event).__name__, "event": _recordable(event)})
         for effect in effects:
             self._carry_out(effect, now_s)
+        if self.state.pairing_off is not None:
+            self._call_off_pairing()
         self.changed.set()
         self.changed.clear()
 
@@ -182,8 +186,7 @@ class Shell:
         """The last thing: a drone that is ours is told to hold, whatever else went wrong. Source: contract, X3."""
         vehicle, ours = self.vehicle, self.state.authority
         try:
-            if ours:
-                self.take(Ended("the run is over"))
+            self.take(Ended("the run is over"))
         finally:
             await self.settled(within_s)
             if ours and vehicle is not None and vehicle.telemetry().flight_mode == "OFFBOARD" and self.controller:
@@ -205,7 +208,7 @@ class Shell:
                 self._emit("announce", {"text": effect.text})
             case Pair():
                 self._emit("pair", self._with_places(Report("pair", _requested(effect.colour))))
-                self._start(self._pair(self, effect.colour))
+                self._pairing = self._start(self._pair(self, effect.colour))
             case FaceOperator():
                 self._watch_over()
                 self._order(lambda c: c.face(effect.yaw_deg))
@@ -230,10 +233,30 @@ class Shell:
             case LetGo():
                 self._let_go(effect.command)
 
-    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _call_off_pairing(self) -> None:
+        """STOP or the end came before pairing was through: a take-off that it had begun ends in Hold. Source: X4."""
+        pairing, colour = self._pairing, self.state.pairing or ""
+        self._pairing = None
+        if pairing is None:
+            return
+        pairing.cancel()
+
+        async def hold() -> None:
+            vehicle = self.fleet.vehicles.get(colour)
+            if vehicle is not None and vehicle.telemetry().flight_mode == "TAKEOFF":
+                try:
+                    await vehicle.hold()
+                except VehicleError as error:
+                    self._emit("announce", {"text": str(error)})
+            self.inbox.put(PairingAnswered(colour, ()))  # the arbiter knows why it is off
+
+        self._start(hold())
 
     def _order(self, order: Callable[[MotionController], Coroutine[Any, Any, None]]) -> None:
         """Give the controller an order; if the vehicle refuses, what was to be flown is dropped."""

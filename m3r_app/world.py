@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rasterio
 import shapely
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.warp import transform
 from rasterio.windows import Window
 
@@ -63,9 +64,13 @@ def load_dem(path: Path, sigma_m: float, frame: LocalFrame) -> Terrain:
     """
     if not (math.isfinite(sigma_m) and sigma_m >= 0.0):
         raise WorldError(f"DEM {path} needs a stated height error sigma_m of 0 m or more")
+    if not path.is_file():
+        raise WorldError(f"DEM {path} does not exist: name a file on this computer")
     try:
-        with rasterio.open(path) as dataset:
-            return _dem(dataset, path, sigma_m, frame)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # said below, in one sentence
+            with rasterio.open(path) as dataset:
+                return _dem(dataset, path, sigma_m, frame)
     except RasterioError as error:
         raise WorldError(f"DEM {path} cannot be read: {str(error).splitlines()[0]}") from None
 

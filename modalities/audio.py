@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 SAMPLE_RATE_HZ = 16_000
 CHUNK_SAMPLES = 800
 """50 ms: how often partial results are looked at."""
+LOWEST_RATE_HZ = 8000
 LONGEST_FILE_S = 4 * 3600.0
 
 Samples = NDArray[np.int16]
@@ -61,6 +62,10 @@ def read_audio(path: Path | str) -> Samples:
             if file.frames > LONGEST_FILE_S * file.samplerate:
                 raise AudioError(f"audio file {path} is longer than {LONGEST_FILE_S / 3600:.0f} hours: cut it")
             rate_hz = int(file.samplerate)
+            if rate_hz < LOWEST_RATE_HZ:
+                raise AudioError(
+                    f"audio file {path} has {rate_hz} samples a second, too few for speech: record it again"
+                )
             data = file.read(dtype="float32", always_2d=True)
     except (soundfile.SoundFileError, OSError, RuntimeError) as error:
         raise AudioError(f"audio file {path} cannot be read as audio: give a wav, flac, ogg or mp3 file") from error

@@ -34,7 +34,7 @@ _PAIRING: dict[str, Command] = {"activate": Command.ACTIVATE, "disconnect": Comm
 OTHER_WORDS: tuple[str, ...] = tuple(
     """
     the a of to and in is you that it he was for on are with as his they be at one have this from or had by hot but
-    some what there we can out other were all your when use word how said an each she which do their if will way about
+    some what there we out other were all your when use word how said an each she which do their if will way about
     many then them would write like so these her long make thing see him two has look more day could come did my sound
     no most number who over know water than call first people may side been now find any new work part take get place
     made where after little only round man year came show every good me give our under name very through just form
@@ -50,6 +50,10 @@ OTHER_WORDS: tuple[str, ...] = tuple(
     sorry nothing maybe later
     """.split()
 )
+
+# Words that begin like *stop* but go on otherwise: without them, what begins with s is bent into it. Words with "st" would
+# keep the decoder from telling until they are over, and STOP must not wait.
+STOP_RIVALS: tuple[str, ...] = ("seven", "six", "so", "see", "say", "sorry", "sun")
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,8 @@ from safety.vocabulary import Command, ManeuverRequest, Modality
 SURE: dict[Modality, float] = {Modality.PANEL: 1.0, Modality.VOICE: 0.95, Modality.GESTURE: 0.95}
 """The confidence of a scripted request that states none."""
 LONGEST_SCRIPT_BYTES = 1 << 20
+SHOWN = 60
+"""Characters of a wrong word or line that an error shows."""
 
 
 class ScriptError(ValueError):
@@ -54,20 +56,25 @@ class ScriptedRequest:
 def read_script(path: Path | str, colours: Iterable[str]) -> tuple[ScriptedRequest, ...]:
     """The script in a file; "-": standard input. Raises ScriptError."""
     if str(path) == "-":
-        return parse_script(sys.stdin.read(LONGEST_SCRIPT_BYTES + 1), colours, "standard input")
+        return parse_script(
+            _text(sys.stdin.buffer.read(LONGEST_SCRIPT_BYTES + 1), "standard input"), colours, "standard input"
+        )
     path = Path(path)
     try:
         with path.open("rb") as file:
-            text = file.read(LONGEST_SCRIPT_BYTES + 1).decode()
-    except UnicodeDecodeError:
-        raise ScriptError(
-            f"script {path} is not a text file: give timed requests such as `2.0 panel go left`"
-        ) from None
+            data = file.read(LONGEST_SCRIPT_BYTES + 1)
     except FileNotFoundError:
         raise ScriptError(f"script {path} does not exist: check its name") from None
     except OSError as error:
         raise ScriptError(f"script {path} cannot be read ({error.strerror}): give a text file") from None
-    return parse_script(text, colours, f"script {path}")
+    return parse_script(_text(data, f"script {path}"), colours, f"script {path}")
+
+
+def _text(data: bytes, name: str) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ScriptError(f"{name} is not text: give timed requests such as `2.0 panel go left`") from None
 
 
 def parse_script(text: str, colours: Iterable[str], name: str = "script") -> tuple[ScriptedRequest, ...]:
@@ -93,11 +100,11 @@ def parse_script(text: str, colours: Iterable[str], name: str = "script") -> tup
 def _parse_line(line: str, number: int, table: PhraseTable) -> ScriptedRequest:
     words = line.split()
     if len(words) < 3:
-        raise ScriptError(f"{line!r} is not `TIME MODALITY REQUEST`, for example `2.0 panel go left`")
+        raise ScriptError(f"{_clipped(line)} is not `TIME MODALITY REQUEST`, for example `2.0 panel go left`")
     at_s = _number(words[0], "time in seconds", 0.0, math.inf)
     modality = {m.value: m for m in SURE}.get(words[1].lower())
     if modality is None:
-        raise ScriptError(f"{words[1]!r} is no modality: use {', '.join(SURE)}")
+        raise ScriptError(f"{_clipped(words[1])} is no modality: use {', '.join(SURE)}")
     confidence = SURE[modality]
     if words[-1].lower().startswith("confidence="):
         confidence = _number(words.pop().split("=", 1)[1], "confidence", 0.0, 1.0)
@@ -111,16 +118,23 @@ def _parse_line(line: str, number: int, table: PhraseTable) -> ScriptedRequest:
 def _unknown_request(text: str, table: PhraseTable) -> str:
     verb, _, rest = text.partition(" ")
     if verb in ("activate", "disconnect") and rest:
-        return f"{rest!r} is no drone here: the colours are {', '.join(table.colours)}"
-    return f"{text!r} is no request: use for example `go left`, `turn right`, `stop`, `continue` or `activate red`"
+        return f"{_clipped(rest)} is no drone here: the colours are {', '.join(table.colours)}"
+    return (
+        f"{_clipped(text)} is no request: use for example `go left`, `turn right`, `stop`, `continue` or `activate red`"
+    )
 
 
 def _number(word: str, what: str, lowest: float, highest: float) -> float:
     try:
         value = float(word)
     except ValueError:
-        raise ScriptError(f"{word!r} is no {what}") from None
+        raise ScriptError(f"{_clipped(word)} is no {what}") from None
     if not (math.isfinite(value) and lowest <= value <= highest):
         bounds = f"from {lowest:g}" if math.isinf(highest) else f"from {lowest:g} to {highest:g}"
         raise ScriptError(f"{word!r} is no {what}: give a number {bounds}")
     return value
+
+
+def _clipped(text: str) -> str:
+    """As much of it as a sentence bears."""
+    return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}...")

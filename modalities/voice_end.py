@@ -36,6 +36,11 @@ class VoiceEnd:
         self._recent: list[float] = []
         self._rest = np.zeros(0, np.int16)
 
+    @property
+    def has_spoken(self) -> bool:
+        """Whether there was voice since `forget`."""
+        return math.isfinite(self.last_voice_s)
+
     def accept(self, samples: Samples, captured_at_s: float) -> None:
         """Take the next samples, the last of them captured at captured_at_s."""
         data = np.concatenate([self._rest, samples])

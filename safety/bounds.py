@@ -38,7 +38,7 @@ def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Findi
     terrain = situation.world.terrain
     if terrain is None:
         return refused(name, requirements, "m", "no terrain model: clearance cannot be judged")
-    _, clearance = _profile(path, terrain)
+    _, clearance = profile(path, terrain)
     sigma_m = situation.vehicle.sigma_m
     required_m = limits.clearance_m + error_m(sigma_m, limits) + limits.sigma_k * checked_sigma_m(terrain.sigma_m)
     margins = clearance - required_m
@@ -68,7 +68,7 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
     terrain = situation.world.terrain
     if terrain is None:
         return refused(name, requirements, "m", "no terrain model: height above ground cannot be judged")
-    height, clearance = _profile(path, terrain)
+    height, clearance = profile(path, terrain)
     vehicle, k = situation.vehicle, limits.sigma_k
     gaps = _gaps(path)
     level_m = error_m(vehicle.sigma_h_m, limits)
@@ -172,7 +172,7 @@ def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 
 @once
-def _profile(path: Path, terrain: Terrain | TerrainPatch) -> tuple[Floats, Floats]:
+def profile(path: Path, terrain: Terrain | TerrainPatch) -> tuple[Floats, Floats]:
     """(n,) height above ground and distance to the ground."""
     if not np.isfinite(path.points_ned_m).all():
         nowhere = np.full(len(path.points_ned_m), np.nan)

@@ -11,7 +11,7 @@ from safety.bounds import checked_sigma_m
 from safety.judging import amount, refused
 from safety.limits import Limits
 from safety.situation import Situation
-from safety.vocabulary import Finding, ManeuverRequest, Modality, Path
+from safety.vocabulary import Finding, ManeuverRequest, Modality, Path, VehicleState
 
 
 def confidence_of(sigma_m: float, half_m: float) -> float:
@@ -43,6 +43,9 @@ def localization(path: Path, situation: Situation, limits: Limits) -> Finding:
         return refused(name, requirements, "", f"the drone's position is {age} old")
     if not situation.vehicle.position.finite:
         return refused(name, requirements, "", "the drone's position is unknown")
+    off_m = situation.vehicle.disagreement.norm
+    if not off_m <= limits.disagreement_m:
+        return refused(name, requirements, "", "the drone's position does not move as its velocity says")
     sigma_m = situation.vehicle.sigma_m
     confidence = confidence_of(sigma_m, limits.localization_half_m)
     if math.isnan(confidence):
@@ -67,7 +70,19 @@ def terrain_confidence(path: Path, situation: Situation, limits: Limits) -> Find
 
 
 def authority(path: Path, situation: Situation, limits: Limits) -> Finding:
-    """The app may command the drone. Source: X3, design 4."""
+    """The app may command the drone, and the drone is fit to be commanded. Source: X3, X8, design 4."""
     held = situation.authority is True
+    unfit = unfit_to_fly(situation.vehicle, limits)
+    if held and unfit is not None:
+        return Finding("authority", ("X3", "X8"), None, "", False, unfit)
     text = "this station commands the drone" if held else "this station does not command the drone: pair again"
     return Finding("authority", ("X3",), None, "", held, text)
+
+
+def unfit_to_fly(vehicle: VehicleState, limits: Limits) -> str | None:
+    """What stands against any maneuver of this vehicle, as a sentence; None: nothing. Source: X8."""
+    if not vehicle.healthy:
+        return "the drone reports that it is not healthy"
+    if vehicle.battery is not None and not vehicle.battery >= limits.battery_min:
+        return f"its battery is at {100.0 * vehicle.battery:.0f} %, {100.0 * limits.battery_min:.0f} % needed"
+    return None

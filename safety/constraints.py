@@ -5,6 +5,7 @@ A rule is one named, pure predicate that returns a finding with a margin. A mane
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from enum import Enum
@@ -83,35 +84,36 @@ def findings(
     return tuple(found)
 
 
-def nearby(situation: Situation, path: Path, limits: Limits) -> Situation:
-    """The situation without what cannot fail a rule on this path or a shorter part of it; for many cheap decisions.
+def nearby(
+    situation: Situation,
+    path: Path,
+    limits: Limits,
+    cut: Callable[[World, Ned, float, Ned], World] = World.near,
+) -> Situation:
+    """The situation without what cannot fail a rule on this path or a part of it; for many cheap decisions.
 
     Margins are the same, but those to what stands still are cut off at SPARE_M or more beyond what is required. It holds for
-    paths that start where this one does, stay within its reach, end no later and have no more slack.
+    paths that start where this one does, stay in the box about it, end no later and have no more slack. cut: how to cut
+    the world down to a reach about a box.
     """
-    points = path.points_ned_m
-    vehicle, terrain = situation.vehicle, situation.world.terrain
-    start = points[0]
-    travel_m = float(np.sqrt(((points - start) ** 2).sum(axis=1).max()))
-    # From the far end of the path it must still be seen as far as required, and the spare beyond.
-    required_m = max(limits.clearance_m, limits.obstacle_clearance_m, limits.min_agl_m) + bounds.error_m(
-        vehicle.sigma_m, limits
-    )
-    required_m += limits.sigma_k * (bounds.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
-    reach_m = travel_m + required_m + SPARE_M + 0.1
-    if not np.isfinite(reach_m) or not np.isfinite(path.times_s[-1]):
+    vehicle, world = situation.vehicle, situation.world
+    terrain = world.terrain
+    points = path.points_ned_m.tolist()
+    box = [(min(along), max(along)) for along in zip(*points, strict=True)]
+    centre, half = Ned(*(0.5 * (low + high) for low, high in box)), Ned(*(0.5 * (high - low) for low, high in box))
+    # From anywhere on the path it must still be seen as far as required, and the spare beyond.
+    reach_m = max(limits.clearance_m, limits.obstacle_clearance_m, limits.min_agl_m) + SPARE_M + 0.1
+    reach_m += bounds.error_m(vehicle.sigma_m, limits)
+    reach_m += limits.sigma_k * (bounds.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
+    travel_m = max(math.dist(point, points[0]) for point in points)
+    until_s = float(path.times_s[-1])
+    if not (math.isfinite(reach_m + until_s) and np.isfinite(path.points_ned_m).all()):
         # Nothing can be left out; the rules will say what is missing.
         return situation
-    centre = Ned(*map(float, start))
-    world = situation.world
     return replace(
         situation,
-        world=World(
-            terrain.near(centre, reach_m) if terrain is not None else None,
-            world.obstacles.near(centre, reach_m),
-            world.geofence.near(centre, reach_m) if world.geofence is not None else None,
-        ),
+        world=cut(world, centre, reach_m, half),
         neighbours=others.neighbours_that_matter(
-            situation, start, travel_m, path.slack_m, float(path.times_s[-1]), limits
+            situation, path.points_ned_m[0], travel_m, path.slack_m, until_s, limits
         ),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -24,6 +24,8 @@ class Geofence:
     """inf: none"""
     origin_amsl_m: float
     """Altitude of the local frame's origin."""
+    all_inside: bool | None = None
+    """After `near`, where no edge is within its reach: is everything there inside, or outside?"""
 
     @staticmethod
     def of(polygon_ne_m: shapely.Polygon, floor_amsl_m: float, ceiling_amsl_m: float, origin_amsl_m: float) -> Geofence:
@@ -43,17 +45,19 @@ class Geofence:
     def near(self, centre: Ned, reach_m: float) -> Geofence:
         """The same with only the edges that matter to points within reach_m of centre."""
         polygon, _ = self.polygon.near(centre, reach_m)
-        return replace(self, polygon=polygon)
+        return Geofence(
+            polygon, self.floor_amsl_m, self.ceiling_amsl_m, self.origin_amsl_m, polygon.all_inside(centre, reach_m)
+        )
 
     def level_m(self, points_ned_m: Floats) -> Floats:
         """(n,) horizontal distance of (n, 3) points to the boundary: positive where flying is allowed.
 
         After `near`, never more than what it can vouch for.
         """
-        if not len(self.polygon):
-            # Only `near` leaves no edge, and only far outside: the test for inside would keep one.
-            return np.full(len(points_ned_m), -self.polygon.reach_m)
-        return -self.polygon.distance_m(points_ned_m[:, :2])[:, 0]
+        if self.all_inside is None:
+            return -self.polygon.distance_m(points_ned_m[:, :2])[:, 0]
+        vouched_m = self.polygon.vouched_m(points_ned_m[:, :2])
+        return vouched_m if self.all_inside else -vouched_m
 
     def upright_m(self, points_ned_m: Floats) -> Floats:
         """(n,) vertical distance of (n, 3) points to floor or ceiling, the nearer: positive between them."""

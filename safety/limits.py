@@ -56,6 +56,10 @@ class Limits:
     terrain_confidence_min: float = 0.5
     """T_min; terrain confidence = 1 / (1 + (sigma / terrain_half_m)^2)."""
     terrain_half_m: float = 2.0
+    disagreement_m: float = 0.5
+    """How far the position may lately have moved otherwise than the velocity says (X6)."""
+    battery_min: float = 0.2
+    """Remaining fraction below which no maneuver is flown (X8)."""
     telemetry_age_s: float = 0.5
     """Older telemetry is no telemetry (X6)."""
     # Uncertainty and the vehicle: X11

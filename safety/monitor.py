@@ -13,11 +13,13 @@ from typing import Literal
 
 import numpy as np
 
+from safety.bounds import profile
 from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
 from safety.planner import SPACING_M, stopping_m
-from safety.situation import Situation
-from safety.vocabulary import Finding, Ned, Path, Plan
+from safety.situation import Situation, near_as_before
+from safety.terrain import TerrainPatch
+from safety.vocabulary import POINT, Finding, Ned, Path, Plan
 
 LOOK_AHEAD_S = 2.0
 """How far ahead neighbours are extrapolated against a drone that is told to hold now."""
@@ -26,6 +28,8 @@ EASE = 0.05
 
 A predicted margin may dip by the tube about the path, which was counted against the plan when it was approved.
 """
+RECORDED_M = 20.0
+"""How far from the drone the terrain is looked for, for the record."""
 KNOWN = frozenset({"neighbour_age", "localization"})
 """Not hard limits of their own, but without them nothing can be predicted (R11, X6)."""
 
@@ -79,29 +83,37 @@ def watch(
     only rise (design 8). plan None: hovering, where nothing is predicted. What cannot be judged is a predicted breach.
     """
     ahead = _stopping_path(situation, limits)
-    scene = nearby(situation, ahead, limits)
-    on_path = [rule for rule in rules if rule.subject is Subject.PATH]
-    hard = [rule for rule in on_path if rule.hard]
-    bare = _bare(limits)
+    scene = nearby(situation, ahead, limits, near_as_before)
+    hard, watched = _watched(rules)
     vehicle = situation.vehicle
     here = Path(np.array([vehicle.position]), np.zeros(1))
     estimate = replace(scene, vehicle=replace(vehicle, sigma_h_m=0.0, sigma_v_m=0.0))
-    now = [rule.check(here, estimate, bare) for rule in hard]
+    predicted = {rule.name: rule.check(ahead, scene, _wary(limits)) for rule in watched}
+    # With all of the uncertainty a margin is no larger than without: where nothing is predicted, nothing is broken.
+    now = [
+        rule.check(here, estimate, _bare(limits))
+        for rule in hard
+        if rule.name == "separation" or _negative(predicted[rule.name])
+    ]
     found: list[tuple[Kind, Finding]] = [("actual", f) for f in now if f.margin is not None and f.margin < 0.0]
     if plan is not None:
-        wary = _wary(limits)
-        watched = [rule for rule in on_path if rule.hard or rule.name in KNOWN]
-        predicted = [rule.check(ahead, scene, wary) for rule in watched]
-        found += [("predicted", f) for f in predicted if _negative(f)]
+        found += [("predicted", f) for f in predicted.values() if _negative(f)]
     breaches = [_breach(kind, f, baseline, EASE if kind == "actual" else limits.tracking_m) for kind, f in found]
     if plan is not None:
         breaches += _envelope(plan, elapsed_s, speed_m_s, situation, limits)
     return Watch(
         tuple(breaches),
-        _clearance_m(situation, here) if plan is not None else None,
+        _clearance_m(situation, scene, ahead, here) if plan is not None else None,
         _distance(now, "separation", limits.separation_m),
         {(kind, f.constraint): f.margin for kind, f in found if f.margin is not None and f.margin < 0.0},
     )
+
+
+@lru_cache(maxsize=8)
+def _watched(rules: tuple[Rule, ...]) -> tuple[tuple[Rule, ...], tuple[Rule, ...]]:
+    """The rules about a path that are hard, and all that are watched."""
+    on_path = tuple(rule for rule in rules if rule.subject is Subject.PATH)
+    return tuple(r for r in on_path if r.hard), tuple(r for r in on_path if r.hard or r.name in KNOWN)
 
 
 @lru_cache(maxsize=8)
@@ -171,12 +183,21 @@ def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
     return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
 
 
-def _clearance_m(situation: Situation, here: Path) -> float | None:
-    """The distance to terrain and obstacles, for the record; None where neither is declared or known."""
-    world = situation.world
+def _clearance_m(situation: Situation, scene: Situation, ahead: Path, here: Path) -> float | None:
+    """The distance to terrain and obstacles, for the record; None where neither is declared or known.
+
+    scene: the situation cut down to what is near the path ahead, which starts here.
+    """
+    world, place = situation.world, situation.vehicle.position
     distances: list[float] = []
-    if world.terrain is not None:
-        distances += world.terrain.clearance_m(here.points_ned_m).tolist()
+    ground = scene.world.terrain
+    if ground is not None and place.finite:
+        # As the rules found it just before, unless it is farther than they had to look.
+        clearance_m = float(profile(ahead, ground)[1][0])
+        if isinstance(ground, TerrainPatch) and abs(clearance_m) >= ground.reach_m:
+            wide = near_as_before(world, place, RECORDED_M, POINT).terrain
+            clearance_m = float(wide.clearance_m(here.points_ned_m)[0]) if wide is not None else math.nan
+        distances.append(clearance_m)
     if len(world.obstacles):
         distances += world.obstacles.distance_m(here.points_ned_m).ravel().tolist()
     least_m = min((d for d in distances if math.isfinite(d)), default=math.nan)

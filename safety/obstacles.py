@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -70,14 +70,15 @@ class Obstacles:
         amsl_m = self.origin_amsl_m - centre.down
         level = (self.bases_amsl_m - amsl_m <= reach_m) & (amsl_m - self.tops_amsl_m <= reach_m)
         polygons, which = self.polygons.near(centre, reach_m, level)
-        return replace(
-            self,
-            names=tuple(self.names[i] for i in which),
-            polygons=polygons,
-            bases_amsl_m=self.bases_amsl_m[which],
-            tops_amsl_m=self.tops_amsl_m[which],
-            centre=centre,
-            reach_m=reach_m,
+        return Obstacles(
+            tuple(self.names[i] for i in which.tolist()),
+            polygons,
+            self.bases_amsl_m[which],
+            self.tops_amsl_m[which],
+            self.origin_amsl_m,
+            self.declared,
+            centre,
+            reach_m,
         )
 
     def distance_m(self, points_ned_m: Floats) -> Floats:

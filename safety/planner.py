@@ -34,6 +34,17 @@ def stopping_m(speed_m_s: float, limits: Limits) -> float:
     return speed_m_s * limits.lag_s + speed_m_s**2 / (2.0 * limits.stop_deceleration_m_s2)
 
 
+def length_reaching_m(reach_m: float, speed_m_s: float, limits: Limits) -> float:
+    """How long a straight move may be that ends, stopping distance included, reach_m from its start. Source: X11."""
+    # A longer one coasts as far as any; a short one never gets to its speed.
+    length_m = reach_m - stopping_m(speed_m_s, limits)
+    if length_m >= speed_m_s**2 / limits.acceleration_m_s2:
+        return length_m
+    per_square = 1.0 / limits.acceleration_m_s2 + 0.5 / limits.stop_deceleration_m_s2
+    peak_m_s = (math.sqrt(limits.lag_s**2 + 4.0 * per_square * reach_m) - limits.lag_s) / (2.0 * per_square)
+    return float(peak_m_s**2 / limits.acceleration_m_s2)
+
+
 def plan_translation(
     primitive: Primitive,
     start: Ned,
@@ -85,18 +96,19 @@ def swept(plan: Plan, limits: Limits) -> Path:
     length_m = plan.length_m
     if length_m <= 0.0:
         return Path(np.array([plan.start, plan.start]), np.array([0.0, plan.duration_s]))
-    n = max(2, int(np.ceil(length_m / SPACING_M)) + 1)
+    n = max(2, math.ceil(length_m / SPACING_M) + 1)
     covered_m = [length_m * i / (n - 1) for i in range(n)]
     times_s = [plan.move_from_s + plan.move.time_at(s) for s in covered_m]
     if plan.move_from_s > 0.0:
         # While the nose turns to the operator the drone hovers at the start, and others fly on.
         covered_m, times_s = [0.0, *covered_m], [0.0, *times_s]
     if plan.stop_m > 0.0:
-        pieces = max(1, int(np.ceil(plan.stop_m / SPACING_M)))
+        pieces = max(1, math.ceil(plan.stop_m / SPACING_M))
         covered_m += [length_m + plan.stop_m * (i + 1) / pieces for i in range(pieces)]
         end_s = times_s[-1]
         times_s += [end_s + limits.lag_s * (i + 1) / pieces for i in range(pieces)]
-    points = np.asarray(plan.start) + np.outer(covered_m, plan.direction)
+    (north, east, down), (d_north, d_east, d_down) = plan.start, plan.direction
+    points = np.array([(north + d_north * s, east + d_east * s, down + d_down * s) for s in covered_m])
     return Path(points, np.array(times_s), slack_m=plan.stop_m)
 
 

@@ -114,10 +114,23 @@ class Polygons:
         crossed = ((east >= self.edges[1]) != (east >= self.edges[3])) & (beyond < 0.0)
         inside = np.logical_xor.reduceat(crossed, self.firsts, axis=1)
         if self.reach_m < math.inf:
-            about = points_ne_m - self.centre_ne_m
-            vouched = self.reach_m - np.sqrt((about * about) @ _ONES)
-            distance = np.minimum(distance, np.maximum(vouched, 0.0)[:, None])
+            distance = np.minimum(distance, self.vouched_m(points_ne_m)[:, None])
         return np.where(inside, -distance, distance)
+
+    def vouched_m(self, points_ne_m: Floats) -> Floats:
+        """(n,) how far from (n, 2) points there is certainly no edge other than those still here."""
+        about = points_ne_m - self.centre_ne_m
+        return np.asarray(np.maximum(self.reach_m - np.sqrt((about * about) @ _ONES), 0.0))
+
+    def all_inside(self, centre: Ned, reach_m: float) -> bool | None:
+        """Of one polygon: is everything within reach_m of centre inside it, or outside? None: an edge may be in between."""
+        inside = False
+        for north, east, end_north, end_east in self.edges.T.tolist():
+            if not min(north, end_north) > centre.north + reach_m:
+                return None
+            # An edge farther north separates nothing; an odd number of them straight north means inside.
+            inside ^= (centre.east >= east) != (centre.east >= end_east)
+        return inside
 
 
 _ONES = np.ones(2)

@@ -6,7 +6,6 @@ Source: paper III-F (inter-UAV separation), R5, R6, R11, G3, X10; design 10.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,8 @@ from safety.judging import EPSILON, amount, between, gaps_m, judge, once, refuse
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.vocabulary import Finding, Floats, Neighbours, Path, ReservedVolume
+
+_ONES = np.ones(3)
 
 
 def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -128,25 +129,25 @@ def neighbours_that_matter(
     ages = situation.now_s - neighbours.at_s
     velocities = neighbours.velocities_ned_m_s
     apart = start - neighbours.positions_ned_m - velocities * ages[:, None]
-    speeds = (velocities * velocities).sum(axis=1)
-    along = (apart * velocities).sum(axis=1) / np.where(speeds > 0.0, speeds, 1.0)
+    squares = (velocities * velocities) @ _ONES
+    along = (apart * velocities) @ _ONES / np.where(squares > 0.0, squares, 1.0)
     apart_then = apart - velocities * np.minimum(np.maximum(along, 0.0), max(until_s, limits.horizon_s))[:, None]
     required = _required_m(neighbours, ages, situation, limits) + slack_m
-    at_least = np.sqrt((apart_then * apart_then).sum(axis=1)) - travel_m - required
-    at_most = float(np.fmin.reduce(np.sqrt((apart * apart).sum(axis=1)) - required))
+    at_least = np.sqrt((apart_then * apart_then) @ _ONES) - travel_m - required
+    at_most = float(np.fmin.reduce(np.sqrt((apart * apart) @ _ONES) - required))
     keep = ~(at_least > max(at_most, 0.0))
     silent = ~(np.abs(ages) <= limits.neighbour_age_s)
     if silent.any():
         could_be = _could_be_m(start[None, :], neighbours, np.abs(ages), situation, limits)
         keep |= silent & ~(could_be > travel_m + slack_m)
     which = np.flatnonzero(keep)
-    return replace(
-        neighbours,
-        names=tuple(neighbours.names[i] for i in which),
-        positions_ned_m=neighbours.positions_ned_m[which],
-        velocities_ned_m_s=velocities[which],
-        sigmas_m=neighbours.sigmas_m[which],
-        at_s=neighbours.at_s[which],
+    return Neighbours(
+        tuple(neighbours.names[i] for i in which.tolist()),
+        neighbours.positions_ned_m[which],
+        velocities[which],
+        neighbours.sigmas_m[which],
+        neighbours.at_s[which],
+        neighbours.feed_at_s,
     )
 
 
@@ -165,7 +166,7 @@ def _sky(situation: Situation, limits: Limits) -> tuple[Floats, Floats, Floats]:
 
 def _required_m(neighbours: Neighbours, ages: Floats, situation: Situation, limits: Limits) -> Floats:
     """(k,) what each neighbour must stay away."""
-    speeds = np.sqrt((neighbours.velocities_ned_m_s**2).sum(axis=1))
+    speeds = np.sqrt((neighbours.velocities_ned_m_s**2) @ _ONES)
     ages = np.abs(ages)
     travel = (limits.neighbour_turn * speeds + 0.5 * limits.neighbour_acceleration_m_s2 * ages) * ages
     sigmas = np.where(neighbours.sigmas_m >= 0.0, neighbours.sigmas_m, np.nan)

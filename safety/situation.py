@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from safety.vocabulary import Anchor, Ned, Neighbours, Operator, ReservedVolume, VehicleState
+from safety.vocabulary import POINT, Anchor, Ned, Neighbours, Operator, ReservedVolume, VehicleState
 
 if TYPE_CHECKING:
     from safety.geofence import Geofence
@@ -21,13 +23,27 @@ class World:
     obstacles: Obstacles
     geofence: Geofence | None
 
-    def near(self, centre: Ned, reach_m: float) -> World:
-        """The part of it that can matter within reach_m of centre, for many cheap queries."""
+    def near(self, centre: Ned, reach_m: float, half: Ned = POINT) -> World:
+        """The part that can matter within reach_m of a box about centre with these half sides, for many cheap queries."""
+        around_m = reach_m + half.norm
         return World(
-            self.terrain.near(centre, reach_m) if self.terrain is not None else None,
-            self.obstacles.near(centre, reach_m),
-            self.geofence.near(centre, reach_m) if self.geofence is not None else None,
+            self.terrain.near(centre, reach_m, half) if self.terrain is not None else None,
+            self.obstacles.near(centre, around_m),
+            self.geofence.near(centre, around_m) if self.geofence is not None else None,
         )
+
+
+def near_as_before(world: World, centre: Ned, reach_m: float, half: Ned) -> World:
+    """As `World.near`, but of a larger box that starts and ends on whole metres: one cut serves many looks.
+
+    A function of its arguments alone, so that what is seen does not depend on what was looked at before.
+    """
+    bounds = [(math.floor(c - h), math.ceil(c + h)) for c, h in zip(centre, half, strict=True)]
+    middle, sides = (Ned(*(0.5 * (high + sign * low) for low, high in bounds)) for sign in (1, -1))
+    return _cut(world, middle, float(math.ceil(reach_m)), sides)
+
+
+_cut = lru_cache(maxsize=16)(World.near)
 
 
 @dataclass(frozen=True)

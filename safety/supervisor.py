@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from safety.constraints import RULES, Rule, Subject, findings, nearby
 from safety.limits import Limits
-from safety.planner import full_length_m, plan_return, plan_scan, plan_translation, swept
+from safety.planner import full_length_m, length_reaching_m, plan_return, plan_scan, plan_translation, stopping_m, swept
 from safety.search import Tried, longest_passing
 from safety.situation import Situation
 from safety.vocabulary import (
@@ -23,6 +23,7 @@ from safety.vocabulary import (
     Path,
     Plan,
     Primitive,
+    Profile,
     Verdict,
 )
 
@@ -138,6 +139,15 @@ class Cut(NamedTuple):
     path: Path
 
 
+class Attempt(NamedTuple):
+    """A shorter plan that was tried, and what the rules searched with said of it."""
+
+    plan: Plan
+    path: Path
+    scene: Situation
+    said: list[Finding]
+
+
 def shorten(
     plan: Plan,
     request: ManeuverRequest | None,
@@ -158,29 +168,39 @@ def shorten(
     failed = [f for f in found if not f.passed]
     by_name = {rule.name: rule for rule in rules if rule.subject is Subject.PATH}
     until_s = cut.path.times_s[-1]
+    slowest_m_s = Profile(limits.shortest_m, plan.move.speed, plan.move.acceleration).peak
     while {f.constraint for f in failed} <= by_name.keys():
         searched = [by_name[f.constraint] for f in failed]
-        tried: dict[float, tuple[Plan, Path, Situation]] = {}
+        tried: dict[float, Attempt] = {}
 
-        def attempt(length_m: float, searched: list[Rule] = searched, tried: dict[float, tuple[Plan, Path, Situation]] = tried) -> Tried:
+        def attempt(reach_m: float, searched: list[Rule] = searched, tried: dict[float, Attempt] = tried) -> Tried:
+            length_m = max(length_reaching_m(reach_m, plan.move.speed, limits), limits.shortest_m)
             shorter = propose(replace(intent, amount=length_m), situation, limits)
             path = swept(shorter, limits)
             # A nose that turns farther for the shorter move may make it last longer: then others fly on for longer.
             scene = cut.scene if path.times_s[-1] <= until_s else nearby(situation, path, limits)
-            tried[length_m] = shorter, path, scene
-            return outcome([rule.check(path, scene, limits) for rule in searched])
+            said = [rule.check(path, scene, limits) for rule in searched]
+            tried[reach_m] = Attempt(shorter, path, scene, said)
+            return outcome(said)
 
-        granted_m = longest_passing(attempt, limits.shortest_m, plan.length_m, outcome(failed), limits.bisection_m)
-        if granted_m is None:
+        # Margins are even in how far the path reaches, which grows faster than its length: the coasting grows too.
+        granted = longest_passing(
+            attempt,
+            limits.shortest_m + stopping_m(slowest_m_s, limits),
+            plan.length_m + plan.stop_m,
+            outcome(failed),
+            limits.bisection_m,
+        )
+        if granted is None:
             return None
-        shorter, path, scene = tried[granted_m]
-        judged = findings(path, scene, limits, shorter, request, rules)
+        shorter, path, scene, said = tried[granted]
+        others = tuple(rule for rule in rules if rule not in searched)
+        by_rule = {f.constraint: f for f in (*said, *findings(path, scene, limits, shorter, request, others))}
+        judged = tuple(by_rule[rule.name] for rule in rules if rule.name in by_rule)
         if safe(judged):
             return shorter, judged
-        more = [f for f in judged if not f.passed and by_name.get(f.constraint) not in searched]
-        if not more:
-            return None
-        failed += more
+        # Those that were searched with all pass here, so every one that fails is new.
+        failed += [f for f in judged if not f.passed]
     return None
 
 

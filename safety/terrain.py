@@ -13,7 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safety.vocabulary import Floats, Ned
+from safety.vocabulary import POINT, Floats, Ned
+
+FEW = 48
+"""Leaving cells out of a question pays only where there are more than so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,49 +117,59 @@ class Terrain:
 
     def _about(self, points_ned_m: Floats, reach_m: float) -> TerrainPatch:
         """The patch that vouches for reach_m about every one of the points."""
-        middle = (points_ned_m.min(axis=0) + points_ned_m.max(axis=0)) / 2.0
-        radius_m = float(np.sqrt(((points_ned_m - middle) ** 2).sum(axis=1).max()))
-        return self.near(Ned(*map(float, middle)), radius_m + reach_m)
+        low, high = points_ned_m.min(axis=0), points_ned_m.max(axis=0)
+        return self.near(Ned(*(0.5 * (low + high)).tolist()), reach_m, Ned(*(0.5 * (high - low)).tolist()))
 
-    def near(self, centre: Ned, reach_m: float) -> TerrainPatch:
-        """The part within reach_m of centre, for many cheap queries about points near it."""
+    def near(self, centre: Ned, reach_m: float, half: Ned = POINT) -> TerrainPatch:
+        """The part within reach_m of a box about centre, for many cheap queries about points in it. half: its half sides."""
         if self.is_flat:
-            return TerrainPatch(self, centre, reach_m, _NOTHING, np.zeros((2, 0)), 0.0, border=False)
+            return TerrainPatch(self, centre, half, reach_m, _NOTHING, np.zeros((2, 0)), 0.0, border=False)
         rows, cols = self.heights_amsl_m.shape
         north, east = centre.north - self.corner_ne_m[0], centre.east - self.corner_ne_m[1]
         (row_n, row_e), (col_n, col_e) = self._cells.tolist()
         row, col = row_n * north + row_e * east, col_n * north + col_e * east
         per_row, per_col = math.hypot(row_n, row_e), math.hypot(col_n, col_e)
         inside_m = min(row / per_row, (rows - 1 - row) / per_row, col / per_col, (cols - 1 - col) / per_col)
-        i0, i1 = _window(row, reach_m * per_row, rows)
-        j0, j1 = _window(col, reach_m * per_col, cols)
+        level_m = reach_m + half.horizontal
+        i0, i1 = _window(row, level_m * per_row, rows)
+        j0, j1 = _window(col, level_m * per_col, cols)
         (n_row, n_col), (e_row, e_col) = self.steps_ne_m
-        half_m = 0.5 * max(math.hypot(n_row + n_col, e_row + e_col), math.hypot(n_row - n_col, e_row - e_col))
         up = self.heights_amsl_m[i0:i1, j0:j1] + (centre.down - self.origin_amsl_m)
-        i = np.arange(i0, i1 - 1)[:, None] - row
-        j = np.arange(j0, j1 - 1)[None, :] - col
-        norths, easts = (n_row * i + n_col * j).reshape(-1), (e_row * i + e_col * j).reshape(-1)
-        u00, u10 = up[:-1, :-1].reshape(-1), up[1:, :-1].reshape(-1)
-        u01, u11 = up[:-1, 1:].reshape(-1), up[1:, 1:].reshape(-1)
-        lowest = np.minimum(np.minimum(u00, u10), np.minimum(u01, u11))
-        highest = np.maximum(np.maximum(u00, u10), np.maximum(u01, u11))
-        # A ball about every cell: those that begin within reach count. An unknown cell compares false.
-        mid_n, mid_e = norths + 0.5 * (n_row + n_col), easts + 0.5 * (e_row + e_col)
-        mid_u, tall = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
-        radii = np.sqrt(tall * tall + half_m * half_m)
-        level = mid_n * mid_n + mid_e * mid_e
-        bound = radii + reach_m
-        kept = np.flatnonzero(level + mid_u * mid_u <= bound * bound)
+        i, j = np.arange(i0, i1 - 1)[:, None] + (0.5 - row), np.arange(j0, j1 - 1) + (0.5 - col)
+        mid_n, mid_e = n_row * i + n_col * j, e_row * i + e_col * j
+        low, high = np.minimum(up[1:], up[:-1]), np.maximum(up[1:], up[:-1])
+        low, high = np.minimum(low[:, 1:], low[:, :-1]), np.maximum(high[:, 1:], high[:, :-1])
+        mid_u, tall = 0.5 * (low + high), 0.5 * (high - low)
+        # A box about every cell: those that begin within reach count. An unknown cell compares false.
+        half_n, half_e = 0.5 * (abs(n_row) + abs(n_col)), 0.5 * (abs(e_row) + abs(e_col))
+        off_n = np.maximum(np.abs(mid_n) - (half_n + half.north), 0.0)
+        off_e = np.maximum(np.abs(mid_e) - (half_e + half.east), 0.0)
+        off_u = np.maximum(np.abs(mid_u) - (tall + half.down), 0.0)
+        kept = np.flatnonzero(off_n * off_n + off_e * off_e + off_u * off_u <= reach_m * reach_m)
         unknown = np.zeros((2, 0))
         if not self._complete:
-            blank = np.isnan(lowest)
+            blank = np.isnan(low)
             unknown = np.stack((mid_n[blank], mid_e[blank]))
-        cells = _Cells(
-            _maps(self.steps_ne_m, norths[kept], easts[kept], u00[kept], u10[kept], u01[kept], u11[kept]),
-            np.array((mid_n[kept], mid_e[kept], mid_u[kept])),
-            _boxes(self.steps_ne_m, tall[kept]),
+        middles = np.array((mid_n.ravel()[kept], mid_e.ravel()[kept], mid_u.ravel()[kept]))
+        halves = np.empty((3, kept.size))
+        halves[0], halves[1], halves[2] = half_n, half_e, tall.ravel()[kept]
+        across = up.shape[1]
+        first = kept + kept // (across - 1) if across > 1 else kept
+        corners = up.ravel()[first + np.array(((0,), (across,), (across + 1,), (1,)))]
+        starts = middles[:2] - ((0.5 * (n_row + n_col),), (0.5 * (e_row + e_col),))
+        maps = _maps(self.steps_ne_m, starts[0], starts[1], corners)
+        # About the middle of an unknown cell there may be anything as far as to its farthest corner.
+        radius_m = 0.5 * max(math.hypot(n_row + n_col, e_row + e_col), math.hypot(n_row - n_col, e_row - e_col))
+        return TerrainPatch(
+            self,
+            centre,
+            half,
+            reach_m,
+            _Cells(maps, middles, halves),
+            unknown,
+            radius_m,
+            border=not inside_m >= level_m,
         )
-        return TerrainPatch(self, centre, reach_m, cells, unknown, half_m, border=not inside_m >= reach_m)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -164,9 +177,9 @@ class _Cells:
     """c cells of a patch, everything about its centre, as linear maps of (north, east, up, 1)."""
 
     maps: Floats
-    """(4, 13, c): of either triangle the signed distance from its plane and the two barycentric coordinates (6); how far
-    along each of the three sides from the first corner (3); the part of the squared distance to that corner that is
-    linear (1); and in the row of the ones the squared lengths of the three sides (3)."""
+    """(4, 13, c): the signed distances from the planes of the two triangles (2), their first and their second barycentric
+    coordinates (2, 2); how far along each of the three sides from the first corner (3); the part of the squared distance
+    to that corner that is linear (1); and in the row of the ones the squared lengths of the three sides (3)."""
     middles: Floats
     """(3, c)"""
     halves_m: Floats
@@ -178,10 +191,12 @@ _NOTHING = _Cells(np.zeros((4, 13, 0)), np.zeros((3, 0)), np.zeros((3, 0)))
 
 @dataclass(frozen=True, eq=False)
 class TerrainPatch:
-    """The part of a `Terrain` within reach_m of a centre."""
+    """The part of a `Terrain` within reach_m of a box."""
 
     terrain: Terrain
     centre: Ned
+    half: Ned
+    """The half sides of the box about the centre."""
     reach_m: float
     _cells: _Cells
     _unknown_ne_m: Floats
@@ -191,9 +206,12 @@ class TerrainPatch:
     """The end of the grid is within reach."""
     _centre: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros(3))
     """The centre as an array."""
+    _half: Floats = field(init=False, repr=False, default_factory=lambda: np.zeros(3))
+    """The half sides as an array."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_centre", np.array(self.centre))
+        object.__setattr__(self, "_half", np.array(self.half))
 
     @property
     def sigma_m(self) -> float:
@@ -208,9 +226,9 @@ class TerrainPatch:
         """Everything within reach is known."""
         return not self.border and not self._unknown_ne_m.size
 
-    def near(self, centre: Ned, reach_m: float) -> TerrainPatch:
+    def near(self, centre: Ned, reach_m: float, half: Ned = POINT) -> TerrainPatch:
         """Another patch of the same terrain."""
-        return self.terrain.near(centre, reach_m)
+        return self.terrain.near(centre, reach_m, half)
 
     def agl_m(self, points_ned_m: Floats) -> Floats:
         """(n,) vertical height of (n, 3) points above the surface; NaN where there is no data."""
@@ -220,16 +238,15 @@ class TerrainPatch:
         """(n,) distance of (n, 3) points to what is or may be ground: the surface, or where there is no data, if nearer.
 
         Negative beneath the surface; NaN over cells without data. Never more than what the patch can vouch for: reach_m
-        less the point's distance from the centre. agl_m: these points' heights, if the caller has them already.
+        less the point's distance from the box. agl_m: these points' heights, if the caller has them already.
         """
         height = self.agl_m(points_ned_m) if agl_m is None else agl_m
         about = points_ned_m - self._centre
-        squares = (about * about) @ _ONES
-        distance = np.maximum(self.reach_m - np.sqrt(squares), 0.0)
+        distance = self._vouched_m(about)
         if self.terrain.is_flat:
             distance = np.minimum(distance, np.abs(height))
         elif self._cells.middles.size:
-            distance = np.minimum(distance, self._surface_m(about, squares, height))
+            distance = np.minimum(distance, self._surface_m(about, height))
         if not self.is_complete:
             distance = np.minimum(distance, self.unknown_m(points_ned_m))
         # NaN of the height stays: copysign alone would lose it.
@@ -238,7 +255,7 @@ class TerrainPatch:
     def unknown_m(self, points_ned_m: Floats) -> Floats:
         """(n,) horizontal distance of (n, 3) points to where there is no data; at most what the patch can vouch for."""
         about = points_ned_m - self._centre
-        distance = np.maximum(self.reach_m - np.sqrt((about * about) @ _ONES), 0.0)
+        distance = self._vouched_m(about)
         if self.border:
             cells = self.terrain._cells
             place = (points_ned_m[:, :2] - self.terrain.corner_ne_m) @ cells.T
@@ -252,86 +269,84 @@ class TerrainPatch:
             distance = np.minimum(distance, np.maximum(nearest, 0.0))
         return np.asarray(distance)
 
-    def _surface_m(self, about: Floats, squares: Floats, height: Floats) -> Floats:
+    def _vouched_m(self, about: Floats) -> Floats:
+        """(n,) how far from points, (n, 3) about the centre, everything is here."""
+        off = np.maximum(np.abs(about) - self._half, 0.0)
+        return np.asarray(np.maximum(self.reach_m - np.sqrt((off * off) @ _ONES), 0.0))
+
+    def _surface_m(self, about: Floats, height: Floats) -> Floats:
         """(n,) distance to the nearest known triangle; about: (n, 3) north, east, down from the centre."""
-        cells = self._cells
-        # No point is farther from the surface than it is above it: cells farther than that from the points' box are not
-        # nearest to any. Written so that an unknown height (NaN) leaves nothing out.
-        low, high = np.minimum.reduce(about), np.maximum.reduce(about)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        middle[2] *= -1.0
-        apart = np.maximum(np.abs(cells.middles - middle[:, None]) - (cells.halves_m + half[:, None]), 0.0)
-        farthest_m = float(np.maximum.reduce(np.abs(height)))
-        near = np.flatnonzero(~(_ONES @ (apart * apart) > farthest_m * farthest_m * (1.0 + 1e-9)))
-        if not near.size:
+        maps = self._cells.maps
+        if maps.shape[2] > FEW:
+            maps = maps.take(self._nearest(about, height), axis=2)
+        if not maps.shape[2]:
             return np.full(len(about), np.inf)
         points = np.ones((len(about), 4))
         points[:, :3] = about
         points[:, 2] *= -1.0
-        maps = cells.maps.take(near, axis=2)
         found = (points @ maps[:, :10].reshape(4, -1)).reshape(len(about), 10, -1)
-        faces = found[:, :6].reshape(len(about), 2, 3, -1)
-        plane, u, v = faces[:, :, 0], faces[:, :, 1], faces[:, :, 2]
+        plane, u, v = found[:, 0:2], found[:, 2:4], found[:, 4:6]
         # The foot of the perpendicular lies in the triangle, or the nearest point is on one of its sides.
         over = np.minimum(np.minimum(u, v), 1.0 - u - v) >= 0.0
         foot = np.minimum.reduce(np.where(over, plane * plane, np.inf), axis=(1, 2))
         along = found[:, 6:9]
         t = np.minimum(np.maximum(along, 0.0), 1.0)
         side = np.minimum.reduce(maps[3, 10:] * t * (t - (along + along)), axis=1) + found[:, 9]
-        nearest = np.minimum(foot, np.minimum.reduce(side, axis=1) + squares)
+        nearest = np.minimum(foot, np.minimum.reduce(side, axis=1) + (about * about) @ _ONES)
         return np.asarray(np.sqrt(np.maximum(nearest, 0.0)))
+
+    def _nearest(self, about: Floats, height: Floats) -> NDArray[np.intp]:
+        """Indices of the cells that can be nearest to one of the points.
+
+        No point is farther from the surface than it is above it: cells farther than that from the points' box are not
+        nearest to any. Written so that an unknown height (NaN) leaves nothing out.
+        """
+        cells = self._cells
+        low, high = np.minimum.reduce(about), np.maximum.reduce(about)
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        middle[2] *= -1.0
+        apart = np.maximum(np.abs(cells.middles - middle[:, None]) - (cells.halves_m + half[:, None]), 0.0)
+        farthest_m = float(np.maximum.reduce(np.abs(height)))
+        return np.flatnonzero(~(_ONES @ (apart * apart) > farthest_m * farthest_m * (1.0 + 1e-9)))
 
 
 _ONES = np.ones(3)
 
 
-def _boxes(steps: tuple[tuple[float, float], tuple[float, float]], tall: Floats) -> Floats:
-    """(3, c) half sides of boxes that hold cells whose heights are within (c,) tall of their middles."""
-    (n_row, n_col), (e_row, e_col) = steps
-    halves = np.empty((3, tall.size))
-    halves[0], halves[1], halves[2] = 0.5 * (abs(n_row) + abs(n_col)), 0.5 * (abs(e_row) + abs(e_col)), tall
-    return halves
-
-
 def _maps(
-    steps: tuple[tuple[float, float], tuple[float, float]],
-    north: Floats,
-    east: Floats,
-    u00: Floats,
-    u10: Floats,
-    u01: Floats,
-    u11: Floats,
+    steps: tuple[tuple[float, float], tuple[float, float]], north: Floats, east: Floats, corners: Floats
 ) -> Floats:
-    """The maps of `_Cells` from the place of c cells' first corners and the heights of all four, about the centre."""
+    """The maps of `_Cells` from the place of c cells' first corners and (4, c) heights of 00, 10, 11, 01, about the centre."""
     (n_row, n_col), (e_row, e_col) = steps
-    n_both, e_both = n_row + n_col, e_row + e_col
-    maps = np.zeros((4, 13, north.size))
-    to10, to11, to01 = u10 - u00, u11 - u00, u01 - u00
-    corner = np.array((north, east, u00))
-    # Triangles (00, 10, 11) and (00, 11, 01): sides p and q from the first corner.
-    for k, (p_n, p_e, p_u, q_n, q_e, q_u) in enumerate(
-        ((n_row, e_row, to10, n_both, e_both, to11), (n_both, e_both, to11, n_col, e_col, to01))
-    ):
-        normal_n, normal_e, normal_u = p_e * q_u - q_e * p_u, q_n * p_u - p_n * q_u, p_n * q_e - p_e * q_n
-        shrink = 1.0 / (normal_n * normal_n + normal_e * normal_e + normal_u * normal_u)
-        unit = np.sqrt(shrink)
-        face = maps[:3, 3 * k : 3 * k + 3]
-        face[0, 0], face[1, 0], face[2, 0] = normal_n * unit, normal_e * unit, normal_u * unit
-        # Dual to p and q in the plane: q x normal and normal x p over the normal's square.
-        face[0, 1] = (q_e * normal_u - q_u * normal_e) * shrink
-        face[1, 1] = (q_u * normal_n - q_n * normal_u) * shrink
-        face[2, 1] = (q_n * normal_e - q_e * normal_n) * shrink
-        face[0, 2] = (normal_e * p_u - normal_u * p_e) * shrink
-        face[1, 2] = (normal_u * p_n - normal_n * p_u) * shrink
-        face[2, 2] = (normal_n * p_e - normal_e * p_n) * shrink
-    for k, (s_n, s_e, s_u) in enumerate(((n_row, e_row, to10), (n_col, e_col, to01), (n_both, e_both, to11))):
-        square = s_u * s_u + (s_n * s_n + s_e * s_e)
-        maps[0, 6 + k], maps[1, 6 + k], maps[2, 6 + k] = s_n / square, s_e / square, s_u / square
-        maps[3, 10 + k] = square
+    first = corners[0]
+    # Sides from the first corner to 10, 11, 01: constant over the ground, each cell's own upwards.
+    sides_n, sides_e = (
+        np.array(((n_row,), (n_row + n_col,), (n_col,))),
+        np.array(((e_row,), (e_row + e_col,), (e_col,))),
+    )
+    sides_u = corners[1:] - first
+    maps = np.empty((4, 13, first.size))
+    # Triangles (00, 10, 11) and (00, 11, 01): sides p and q. The normal is p x q.
+    p_n, p_e, p_u, q_n, q_e, q_u = sides_n[:2], sides_e[:2], sides_u[:2], sides_n[1:], sides_e[1:], sides_u[1:]
+    normal_n, normal_e, normal_u = p_e * q_u - q_e * p_u, q_n * p_u - p_n * q_u, p_n * q_e - p_e * q_n
+    shrink = 1.0 / (normal_n * normal_n + normal_e * normal_e + normal_u * normal_u)
+    unit = np.sqrt(shrink)
+    maps[0, 0:2], maps[1, 0:2], maps[2, 0:2] = normal_n * unit, normal_e * unit, normal_u * unit
+    # Dual to p and q in the plane: q x normal and normal x p over the normal's square.
+    normal_n, normal_e, normal_u = normal_n * shrink, normal_e * shrink, normal_u * shrink
+    maps[0, 2:4] = q_e * normal_u - q_u * normal_e
+    maps[1, 2:4] = q_u * normal_n - q_n * normal_u
+    maps[2, 2:4] = q_n * normal_e - q_e * normal_n
+    maps[0, 4:6] = normal_e * p_u - normal_u * p_e
+    maps[1, 4:6] = normal_u * p_n - normal_n * p_u
+    maps[2, 4:6] = normal_n * p_e - normal_e * p_n
+    squares = sides_u * sides_u + (sides_n * sides_n + sides_e * sides_e)
+    maps[0, 6:9], maps[1, 6:9], maps[2, 6:9] = sides_n / squares, sides_e / squares, sides_u / squares
+    maps[3, 10:] = squares
     # All of these are measured from the first corner.
-    maps[3, :9] = -(maps[0, :9] * north + maps[1, :9] * east + maps[2, :9] * u00)
-    maps[:3, 9] = -2.0 * corner
-    maps[3, 9] = (corner * corner).sum(axis=0)
+    maps[3, :9] = -(maps[0, :9] * north + maps[1, :9] * east + maps[2, :9] * first)
+    maps[0, 9], maps[1, 9], maps[2, 9] = -2.0 * north, -2.0 * east, -2.0 * first
+    maps[3, 9] = north * north + east * east + first * first
     return maps
 
 

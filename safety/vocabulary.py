@@ -43,6 +43,10 @@ class Ned(NamedTuple):
         return math.isfinite(self.north) and math.isfinite(self.east) and math.isfinite(self.down)
 
 
+POINT = Ned(0.0, 0.0, 0.0)
+"""Half the sides of a box without extent."""
+
+
 class Geodetic(NamedTuple):
     """WGS-84 latitude and longitude in degrees, altitude above mean sea level in metres."""
 
@@ -143,7 +147,9 @@ class VehicleState:
     in_air: bool = False
     flight_mode: str = "UNKNOWN"
     battery: float | None = None
-    """Remaining fraction, 0 to 1."""
+    """Remaining fraction, 0 to 1; None: the vehicle does not tell (its own health checks may still)."""
+    disagreement: Ned = Ned(0.0, 0.0, 0.0)
+    """How far the position has lately moved otherwise than the velocity says (m)."""
 
     @property
     def sigma_m(self) -> float:

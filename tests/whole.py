@@ -42,7 +42,7 @@ class App:
 
     def __init__(self, arguments: Sequence[str], stdin: str | None = None) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "ui.cli", *arguments],
+            [sys.executable, "-m", "ui.entry", *arguments],
             cwd=ROOT,
             stdin=subprocess.PIPE if stdin is not None else subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -62,8 +62,10 @@ class Output:
         try:
             while data:
                 data = data[os.write(descriptor, data) :]
-        except OSError:
+        except OSError as error:
             self._gone.add(descriptor)
+            if descriptor == self._out and not isinstance(error, BrokenPipeError):
+                self._write(self._err, f"m3r: standard output cannot be written ({error.strerror}): the run ends")
             if descriptor == self._out:
                 hang_up()
 

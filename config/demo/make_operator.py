@@ -5,7 +5,7 @@
 Every line's last word ends at the line's time, so that recording and script ask for the same thing at the same moment.
 """
 
-# ruff: noqa: INP001 (a script beside its data, no part of the package)
+
 from __future__ import annotations
 
 import argparse
@@ -37,7 +37,7 @@ def speak(text: str, voice: str, words_per_minute: int) -> np.ndarray:
     data = soxr.resample(data, rate_hz, RATE_HZ)
     loud = np.flatnonzero(np.abs(data) > 0.01 * np.abs(data).max())
     data = data[loud[0] : loud[-1] + 1]
-    return data * (PEAK / np.abs(data).max())
+    return np.asarray(data * (PEAK / np.abs(data).max()))
 
 
 def main() -> None:

@@ -818,7 +818,7 @@ def test_a_dead_feed_in_flight_aborts() -> None:
 
 
 @pytest.mark.parametrize("state", [s for s in MADE if s not in (State.IDLE, State.PAIRING)])
-@pytest.mark.parametrize("mode", ["POSCTL", "RETURN_TO_LAUNCH", "LAND", "UNKNOWN"])
+@pytest.mark.parametrize("mode", ["POSCTL", "RETURN_TO_LAUNCH", "LAND"])
 def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
     """X3: nothing is commanded any more, whatever comes, until a new pairing."""
     table = MADE[state]()
@@ -833,6 +833,39 @@ def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
     table.put(Ended("the run is over"))
     table.wait(1.0)
     assert not [e for e in table.log[mark:] if isinstance(e, Hold | Fly | FaceOperator | LetGo)]
+
+
+@pytest.mark.parametrize("state", [s for s in MADE if s not in (State.IDLE, State.PAIRING)])
+def test_a_mode_that_is_not_told_any_more_is_held_and_let_go(state: State) -> None:
+    """X3, X6: nobody is known to have taken over, so the drone is not left on the last setpoint."""
+    table = MADE[state]()
+    table.flight_mode = "UNKNOWN"
+    effects = table.put(TelemetryArrived(table.vehicle()))
+    assert table.state.state is State.IDLE
+    assert LetGo("hold") in effects
+
+
+def test_an_unfit_drone_drops_the_plan_and_flies_no_other() -> None:
+    """X8: health and battery are looked at after pairing too."""
+    for unfit in ({"healthy": False}, {"battery": 0.1}):
+        table = flying()
+        vehicle = replace(table.vehicle(), **unfit)
+        effects = table.put(TelemetryArrived(vehicle))
+        assert Hold("stalled") in effects
+        assert table.state.flight is None
+
+
+def test_a_frozen_position_stops_the_motion() -> None:
+    """X6: the velocity says it flies, the position says it does not; one of them is wrong."""
+    table = flying()
+    frozen = table.vehicle()
+    for i in range(1, 100):
+        table.now_s += 0.02
+        table.put(TelemetryArrived(replace(frozen, at_s=frozen.at_s + 0.02 * i, velocity=Ned(0.0, 0.5, 0.0))))
+        if table.state.flight is None:
+            break
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert 0.02 * i < 1.8
 
 
 def test_on_the_ground_is_let_go() -> None:

@@ -65,3 +65,23 @@ def test_memory_is_short_and_keeps_one_of_each() -> None:
     again = remember(recent, recent[-1].request, 1.0, refused=True)
     assert [r.request.id for r in again] == ["r45", "r46", "r47", "r48", "r49"]
     assert again[-1].refused
+
+
+def test_whoever_disagrees_outweighs_whoever_agrees() -> None:
+    """X5: a third modality that confirms the second does not overrule the first."""
+    recent = (
+        Remembered(made(Command.GO_LEFT, Modality.PANEL, 10.0, name="a"), refused=True),
+        Remembered(made(Command.GO_RIGHT, VOICE, 10.3, name="b"), refused=True),
+    )
+    relation, other = relate(made(Command.GO_RIGHT, GESTURE, 10.6, name="c"), recent, 1.0)
+    assert relation is Relation.CONTRADICTS
+    assert other is recent[0]
+
+
+def test_what_nobody_was_sure_of_contradicts_nobody() -> None:
+    """Noise in one modality does not veto the other."""
+    recent = (Remembered(made(Command.GO_UP, GESTURE, 10.0), refused=True),)
+    relation, _ = relate(
+        made(Command.GO_LEFT, Modality.PANEL, 10.3, name="b"), recent, 1.0, lambda r: r.command is not Command.GO_UP
+    )
+    assert relation is Relation.NEW

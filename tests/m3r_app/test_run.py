@@ -306,6 +306,23 @@ def test_apply_failsafe_and_takeoff_make_a_drone_on_the_ground_fit(tmp_path: Pat
         assert sim.last("blue")["mode"] == "LOITER"
 
 
+def test_stop_ends_a_take_off_before_pairing(tmp_path: Path) -> None:
+    """X4: whatever this app has set in motion is held."""
+    with simulated(HILLSIDE, tmp_path) as sim:
+        app = App(
+            ["run", "--headless", "--apply-failsafe", "--takeoff", "20", "--script", "-", *sim.vehicles,
+             "--scenario", str(HILLSIDE)],
+            stdin="0.2 panel activate blue\n3.5 panel stop\n",
+        )  # fmt: skip
+        app.until("request", command="stop")
+        low = sim.last("blue")
+        ran = app.finish()
+        assert ran.of("pair", vehicle="blue", status="refused")
+        assert sim.last("blue")["mode"] == "LOITER"
+        climbed_m = sim.states("blue")[0]["ned_m"][2] - sim.last("blue")["ned_m"][2]
+        assert climbed_m < 15.0, low
+
+
 # ---------------------------------------------------------------- bad input
 
 BAD: list[tuple[list[str], str]] = [

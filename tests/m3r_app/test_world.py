@@ -131,7 +131,7 @@ def test_a_dem_that_is_none_and_an_unstated_error(tmp_path: Path) -> None:
     text.write_text("no DEM")
     with pytest.raises(WorldError, match="cannot be read"):
         load_dem(text, 0.1, FRAME)
-    with pytest.raises(WorldError, match="cannot be read"):
+    with pytest.raises(WorldError, match="does not exist"):
         load_dem(tmp_path / "none.tif", 0.1, FRAME)
     good = write_dem(tmp_path / "good.tif", "EPSG:32632")
     for sigma_m in (math.nan, -0.1, math.inf):

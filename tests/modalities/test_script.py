@@ -67,7 +67,7 @@ def test_a_file_and_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = tmp_path / "story.script"
     path.write_text(STORY)
     assert read_script(path, COLOURS) == parse_script(STORY, COLOURS)
-    monkeypatch.setattr("sys.stdin", io.StringIO(STORY))
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(STORY.encode())))
     assert read_script("-", COLOURS) == parse_script(STORY, COLOURS)
 
 
@@ -85,3 +85,14 @@ def test_the_shipped_story_is_a_script() -> None:
     assert requests[0].command is Command.ACTIVATE
     assert requests[-1].command is Command.DISCONNECT
     assert Command.STOP in {request.command for request in requests}
+
+
+def test_what_notepad_writes_is_read_and_what_is_long_is_clipped(tmp_path: Path) -> None:
+    """A byte-order mark is no fault of the operator's; a wrong line is shown in part."""
+    script = tmp_path / "script.txt"
+    script.write_bytes(b"\xef\xbb\xbf2.0 panel go left\r\n")
+    assert read_script(script, ("red",))[0].command is Command.GO_LEFT
+    script.write_text("x" * 10_000)
+    with pytest.raises(ScriptError) as caught:
+        read_script(script, ("red",))
+    assert len(str(caught.value)) < 400

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from safety.judging import SPARE_M, amount, once
 from safety.obstacles import Obstacles
 from safety.planner import plan_translation, swept
 from safety.requirements import REQUIREMENTS
-from safety.situation import Situation
+from safety.situation import Situation, World, near_as_before
 from safety.terrain import Terrain
 from safety.vocabulary import Command, ManeuverRequest, Modality, Ned, Neighbours, Operator, Path, Primitive
 from tests.safety.scene import LIMITS, NOW_S, START, hover, situation, square_fence, straight, vehicle, wall, world
@@ -31,6 +32,7 @@ HARD = {
     "terrain_clearance", "agl", "obstacle_clearance", "separation", "workspace", "session", "geofence", "envelope",
     "standoff",
 }  # fmt: skip
+Cutting = Callable[[World, Ned, float, Ned], World]
 REQUEST = ManeuverRequest("1", Command.GO_FORWARD, Modality.VOICE, 0.9, NOW_S, NOW_S)
 
 
@@ -118,11 +120,15 @@ def landscape(seed: int) -> Situation:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 100_000), st.sampled_from([Primitive.MOVE_LEFT, Primitive.MOVE_FORWARD, Primitive.DESCEND]))
-def test_cutting_the_world_down_changes_no_decision(seed: int, primitive: Primitive) -> None:
+@given(
+    st.integers(0, 100_000),
+    st.sampled_from([Primitive.MOVE_LEFT, Primitive.MOVE_FORWARD, Primitive.DESCEND]),
+    st.sampled_from([World.near, near_as_before]),
+)
+def test_cutting_the_world_down_changes_no_decision(seed: int, primitive: Primitive, cut: Cutting) -> None:
     scene = landscape(seed)
     full = swept(plan_translation(primitive, scene.vehicle.position, 0.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS), LIMITS)
-    near = nearby(scene, full, LIMITS)
+    near = nearby(scene, full, LIMITS, cut)
     half = len(full.times_s) // 2
     for path in (full, Path(full.points_ned_m[:half], full.times_s[:half], full.slack_m)):
         whole, cut = judged(path, scene), judged(path, near)
@@ -136,6 +142,16 @@ def test_cutting_the_world_down_changes_no_decision(seed: int, primitive: Primit
                 assert a.text == b.text or name == "obstacle_clearance"
             else:
                 assert b.margin >= SPARE_M - 1e-6, name
+
+
+def test_looks_from_nearby_places_share_one_cut() -> None:
+    """Those a few centimetres on see the very same terrain, and so does whoever looks there again later."""
+    scene = landscape(1)
+    here, there = Ned(0.3, 0.4, -5.2), Ned(0.35, 0.38, -5.25)
+    first = near_as_before(scene.world, here, 5.3, Ned(0.1, 0.0, 0.0))
+    assert near_as_before(scene.world, there, 5.6, Ned(0.2, 0.1, 0.0)) is first
+    assert near_as_before(scene.world, Ned(1.3, 0.4, -5.2), 5.3, Ned(0.1, 0.0, 0.0)) is not first
+    assert near_as_before(landscape(1).world, here, 5.3, Ned(0.1, 0.0, 0.0)) is not first
 
 
 def test_what_cannot_be_located_is_not_cut_down() -> None:

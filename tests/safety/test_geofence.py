@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from safety.geofence import Geofence
 from safety.vocabulary import Ned
@@ -61,3 +63,19 @@ def test_open_above_and_below() -> None:
 def test_what_bounds_nothing_is_refused(polygon: shapely.Polygon, floor: float, ceiling: float, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Geofence.of(polygon, floor, ceiling, 0.0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(0.1, 12.0))
+def test_a_fence_cut_down_answers_as_the_whole_up_to_what_it_vouches_for(
+    north: float, east: float, reach_m: float
+) -> None:
+    """Also where no edge is within reach: inside, outside, and in the middle of a large no-fly area."""
+    shape = shapely.Point(0.0, 0.0).buffer(30.0).difference(shapely.box(-12.0, -10.0, 9.0, 14.0))
+    fence = Geofence.of(shape, 0.0, 50.0, 0.0)
+    near = fence.near(Ned(north, east, -10.0), reach_m)
+    about = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3)) * reach_m
+    points = np.array((north, east, -10.0)) + about
+    vouched = reach_m - np.hypot(about[:, 0], about[:, 1])
+    whole, cut = fence.level_m(points), near.level_m(points)
+    np.testing.assert_allclose(cut, np.copysign(np.minimum(np.abs(whole), vouched), whole), atol=1e-9)

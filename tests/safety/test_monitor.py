@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from safety.constraints import RULES, findings
 from safety.monitor import Watch, watch
 from safety.planner import plan_translation, stopping_m
 from safety.situation import Situation
-from safety.vocabulary import Ned, Neighbours, Plan, Primitive
+from safety.terrain import Terrain
+from safety.vocabulary import Ned, Neighbours, Path, Plan, Primitive
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, vehicle, wall, world
+from tests.safety.test_constraints import landscape
 
 PLAN = plan_translation(Primitive.MOVE_FORWARD, START, 180.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS)
 NORTH = Ned(0.5, 0.0, 0.0)
@@ -152,3 +158,33 @@ def test_a_place_that_is_no_number_aborts() -> None:
     seen = look(replace(situation(), vehicle=vehicle(position=Ned(math.nan, 0.0, 0.0))))
     assert ("predicted", "envelope") in kinds(seen)
     assert ("predicted", "terrain_clearance") in kinds(seen)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 100_000), st.floats(0.0, 0.6), st.floats(-180.0, 180.0))
+def test_where_nothing_is_predicted_nothing_is_broken(seed: int, speed_m_s: float, heading_deg: float) -> None:
+    """R9: the bare rules, all of them, find no breach that the look, which leaves out some, does not."""
+    about = landscape(seed)
+    heading = math.radians(heading_deg)
+    velocity = Ned(speed_m_s * math.cos(heading), speed_m_s * math.sin(heading), 0.0)
+    about = replace(about, vehicle=replace(about.vehicle, velocity=velocity))
+    bare = replace(
+        LIMITS, sigma_k=0.0, tracking_m=0.0, horizon_s=0.0, neighbour_acceleration_m_s2=0.0, neighbour_turn=0.0
+    )
+    here = Path(np.array([about.vehicle.position]), np.zeros(1))
+    hard = {rule.name for rule in RULES if rule.hard}
+    broken = {
+        f.constraint for f in findings(here, about, bare)
+        if f.constraint in hard and f.margin is not None and f.margin < 0.0
+    }  # fmt: skip
+    assert {b.constraint for b in look(about, plan=None).breaches} == broken
+    seen = look(about, speed_m_s=speed_m_s)
+    assert {b.constraint for b in seen.breaches if b.kind == "actual"} == broken
+
+
+def test_the_recorded_clearance_is_the_same_however_high_it_flies() -> None:
+    """R4: near the ground it is what the rules found; higher up than they have to look, it is looked for again."""
+    for height_m in (2.5, 4.0, 5.0, 6.0, 8.0, 15.0, 19.0):
+        ground = Terrain(np.zeros((80, 80)), (-40.0, -40.0), ((1.0, 0.0), (0.0, 1.0)), 0.0, 0.0)
+        about = situation(world=world(terrain=ground), vehicle=vehicle(position=Ned(0.3, 0.4, -height_m)))
+        assert look(about).clearance_m == pytest.approx(height_m)

@@ -10,7 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety.frames import bearing_deg, operator_direction, wrap_deg
-from safety.planner import FACING_DEG, full_length_m, plan_return, plan_scan, plan_translation, stopping_m, swept
+from safety.planner import (
+    FACING_DEG,
+    full_length_m,
+    length_reaching_m,
+    plan_return,
+    plan_scan,
+    plan_translation,
+    stopping_m,
+    swept,
+)
 from safety.vocabulary import Ned, Plan, Primitive
 from tests.safety.scene import LIMITS
 
@@ -188,3 +197,11 @@ def test_an_unknown_place_is_no_plan_either(bad: float) -> None:
 
 def test_slower_is_slower() -> None:
     assert translation(Primitive.MOVE_LEFT, slowness=2.0).peak_speed_m_s == pytest.approx(0.25)
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(MOVES), st.floats(0.05, 3.0), st.sampled_from([1.0, 2.0, 4.0]))
+def test_the_length_that_reaches_as_far_is_the_plans(primitive: Primitive, length_m: float, slowness: float) -> None:
+    """Its own length and its stopping distance, below and above the length at which it gets to its speed."""
+    plan = translation(primitive, FACING, length_m, slowness)
+    assert length_reaching_m(plan.length_m + plan.stop_m, plan.move.speed, LIMITS) == pytest.approx(length_m)

@@ -47,5 +47,9 @@ def test_margins_save_tries(limit_m: float) -> None:
     assert search(SHAPES["steep"], limit_m)[1] <= 4
 
 
+def test_a_limit_met_head_on_takes_two_tries() -> None:
+    assert search(SHAPES["even"], 0.4567) == (pytest.approx(0.4527), 2)
+
+
 def test_nothing_passes() -> None:
     assert search(SHAPES["even"], 0.0999)[0] is None

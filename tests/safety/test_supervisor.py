@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from safety.constraints import RULES
 from safety.limits import Limits
 from safety.obstacles import Obstacles
+from safety.planner import swept
 from safety.situation import Situation
 from safety.supervisor import assess, decide, decide_plan, interpret, later, propose, safe
 from safety.terrain import Terrain
@@ -342,6 +343,29 @@ def test_a_slower_one_is_offered_only_if_asked_for() -> None:
     request = asked(Command.CONTINUE)
     intent = replace(interpret(asked(Command.GO_FORWARD), limits), slowness=offered.slowness)
     assert decide(request, intent, about, limits).verdict is Verdict.APPROVED
+
+
+def test_a_slower_one_is_not_offered_into_the_way_of_who_comes_later() -> None:
+    """It lasts longer than the faster plan, and somebody who did not matter to that one meets it."""
+    limits = replace(LIMITS, lateral_step_m=0.1, horizon_s=0.0)
+    intent = interpret(asked(Command.GO_FORWARD), limits)
+    fast = propose(intent, facing(), limits)
+    slow = propose(replace(intent, slowness=4.0), facing(), limits)
+    at_m = limits.lateral_step_m + fast.stop_m + limits.obstacle_clearance_m + limits.tracking_m - 0.05
+    here = facing().vehicle.position
+    ends_s = swept(slow, limits).times_s[-1]
+    assert ends_s > swept(fast, limits).times_s[-1] + 0.1
+
+    def offered(arrives_s: float) -> Verdict:
+        others = sky(
+            ("hovering", here.plus(Ned(0.0, 9.0, 0.0)), Ned(0.0, 0.0, 0.0), 0.0, NOW_S),
+            ("coming", here.plus(Ned(0.0, -100.0 * arrives_s, 0.0)), Ned(0.0, 100.0, 0.0), 0.0, NOW_S),
+        )
+        about = facing(world=world(obstacles=wall(at_m)), neighbours=others)
+        return decided(Command.GO_FORWARD, about, limits, offer=True).verdict
+
+    assert offered(ends_s + 0.1) is Verdict.REPLACED
+    assert offered(ends_s - 0.02) is Verdict.REJECTED
 
 
 # ---------------------------------------------------------------- one plan, all or nothing
