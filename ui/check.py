@@ -78,6 +78,9 @@ def check(wanted: Wanted) -> Iterator[Finding]:
     for name, look in PARTS:
         try:
             yield from look(wanted)
+        except ImportError as error:
+            remedy = "install m3r again with its dependencies"
+            yield Finding(name, State.MISSING, f"a Python package is missing: {error}", remedy)
         except Exception as error:  # noqa: BLE001 one part's fault hides no other part
             yield Finding(
                 name, State.MISSING, f"cannot be looked at: {type(error).__name__}: {error}", "report this fault"

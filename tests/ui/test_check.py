@@ -59,12 +59,18 @@ def test_a_fault_in_one_part_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> 
     def fail(_wanted: Wanted) -> list[Finding]:
         raise RuntimeError("boom")
 
-    monkeypatch.setattr(check_module, "PARTS", (("camera", fail), ("machine", PARTS[0][1])))
+    def lack(_wanted: Wanted) -> list[Finding]:
+        raise ModuleNotFoundError("No module named 'cv2'", name="cv2")
+
+    parts = (("camera", fail), ("hand model", lack), ("machine", PARTS[0][1]))
+    monkeypatch.setattr(check_module, "PARTS", parts)
     findings = list(check(Wanted()))
     assert findings[0] == Finding(
         "camera", State.MISSING, "cannot be looked at: RuntimeError: boom", "report this fault"
     )
-    assert [one.part for one in findings[1:]] == ["Python", "processor"]
+    assert findings[1].text == "a Python package is missing: No module named 'cv2'"
+    assert findings[1].remedy == "install m3r again with its dependencies"
+    assert [one.part for one in findings[2:]] == ["Python", "processor"]
 
 
 def test_missing_libraries_are_named_by_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
