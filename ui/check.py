@@ -7,7 +7,6 @@ used for real: a model is loaded, a microphone listened to, a vehicle waited for
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import ctypes
 import importlib
 import importlib.util
@@ -15,62 +14,19 @@ import os
 import platform
 import shutil
 import sys
-import textwrap
-import threading
 import time
-from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from modalities.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, Chunk
-from modalities.audio_devices import MicrophoneError, choose_device, input_devices
 from modalities.models import ModelError, find_model
+from ui.check_devices import cameras, microphones
+from ui.findings import Finding, State, Wanted, module, parts_of, shown, silence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from types import ModuleType
+    from collections.abc import Callable, Iterable, Iterator
 
-LISTEN_S = 1.0
-CHUNK_S = CHUNK_SAMPLES / SAMPLE_RATE_HZ
-WATCH_S = 1.0
-CAMERA_TIMEOUT_S = 5.0
 VEHICLE_TIMEOUT_S = 5.0
-SLOWEST_CAMERA_HZ = 10.0
-QUIETEST_DBFS = -60.0
-"""Below this nothing counts as a voice (see `modalities.voice_end`)."""
-LOUDEST_ROOM_DBFS = -30.0
-"""A room louder than this hides a voice, or nobody was silent."""
 LEAST_CORES = 2
-
-
-class State(StrEnum):
-    """WORKS: seen to work. WEAK: works, but not well enough. MISSING: what needs it cannot be used. NOT_BUILT: no part of
-    this M3R.
-    """
-
-    WORKS = "works"
-    WEAK = "weak"
-    MISSING = "missing"
-    NOT_BUILT = "not built"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that was looked at. remedy: one sentence, what to do; None where nothing is to be done."""
-
-    part: str
-    state: State
-    text: str
-    remedy: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What to look at beyond what every machine has. vehicles: MAVLink address by colour; microphone: as --audio mic:NAME."""
-
-    vehicles: Mapping[str, str] = field(default_factory=dict)
-    microphone: str | None = None
 
 
 def check(wanted: Wanted) -> Iterator[Finding]:
@@ -85,16 +41,6 @@ def check(wanted: Wanted) -> Iterator[Finding]:
             yield Finding(
                 name, State.MISSING, f"cannot be looked at: {type(error).__name__}: {error}", "report this fault"
             )
-
-
-def shown(finding: Finding, width: int = 100) -> str:
-    """The finding as lines of a table, its remedy below it."""
-    head = f"{finding.state:<10}{finding.part:<16}"
-    lines = textwrap.wrap(finding.text, width, initial_indent=head, subsequent_indent=" " * len(head))
-    if finding.remedy is not None:
-        indent = " " * (len(head) - 2)
-        lines += textwrap.wrap(finding.remedy, width, initial_indent=f"{indent}> ", subsequent_indent=f"{indent}  ")
-    return "\n".join(lines)
 
 
 def show(wanted: Wanted) -> int:
@@ -159,7 +105,7 @@ def _voice_model(_wanted: Wanted) -> Iterator[Finding]:
         began_s = time.monotonic()
         missing = Recognizer(load_model(model.folder), PhraseTable(("red", "green", "blue"))).missing_words
     except ModelError as error:
-        yield Finding("voice model", State.MISSING, *_split(str(error)))
+        yield Finding("voice model", State.MISSING, *parts_of(str(error)))
         return
     text = f"{model.sentence}, loaded in {time.monotonic() - began_s:.1f} s"
     if missing:
@@ -170,131 +116,19 @@ def _voice_model(_wanted: Wanted) -> Iterator[Finding]:
 
 
 def _hand_model(_wanted: Wanted) -> Iterator[Finding]:
-    hands, models = _module("modalities.hands"), importlib.import_module("modalities.models")
+    hands, models = module("modalities.hands"), importlib.import_module("modalities.models")
     if hands is None:
         yield Finding("hand model", State.NOT_BUILT, "this M3R does not recognise hands")
         return
     try:
         model = models.find_hand_model()
         began_s = time.monotonic()
-        with _silence():  # MediaPipe reports on its graphics at length
+        with silence():  # MediaPipe reports on its graphics at length
             hands.HandDetector(model).close()
     except ModelError as error:
-        yield Finding("hand model", State.MISSING, *_split(str(error)))
+        yield Finding("hand model", State.MISSING, *parts_of(str(error)))
         return
     yield Finding("hand model", State.WORKS, f"{model.sentence}, loaded in {time.monotonic() - began_s:.1f} s")
-
-
-def _microphones(wanted: Wanted) -> Iterator[Finding]:
-    try:
-        with _silence():
-            devices = input_devices()
-            chosen = choose_device(wanted.microphone, devices)
-    except MicrophoneError as error:
-        yield Finding("microphone", State.MISSING, error.wrong, error.remedy)
-        return
-    others = [device.name for device in devices if device != chosen]
-    if others:
-        yield Finding("microphones", State.WORKS, f"also here: {', '.join(others)} (choose with --audio mic:NAME)")
-    yield _listened(wanted.microphone)
-
-
-def _listened(name: str | None) -> Finding:
-    """The microphone in question, opened as a run opens it and listened to for LISTEN_S."""
-    from modalities.capture import FLOOR_DBFS, level_dbfs
-    from modalities.microphone import Microphone
-
-    microphone = Microphone(name, clock=time.monotonic)
-    levels: list[float] = []
-    try:
-        with _silence():
-            microphone.open()
-            sentence = microphone.sentence
-            heard = microphone.chunks()
-            giving_up = threading.Timer(LISTEN_S + 4.0, microphone.close)
-            giving_up.start()
-            try:
-                while len(levels) * CHUNK_S < LISTEN_S and isinstance(one := next(heard, None), Chunk):
-                    levels.append(level_dbfs(one.samples))
-            finally:
-                giving_up.cancel()
-                microphone.close()
-                for _ in heard:  # to its end, so that the device is let go
-                    pass
-    except MicrophoneError as error:
-        return Finding("microphone", State.MISSING, error.wrong, error.remedy)
-    if not levels:
-        return Finding("microphone", State.MISSING, f"{sentence} gives no sound", "plug it in again, or choose another")
-    loudest, quietest = max(levels), min(levels)
-    text = f"{sentence}, level {quietest:.0f} to {loudest:.0f} dBFS in {len(levels) * CHUNK_S:.1f} s"
-    if loudest <= FLOOR_DBFS:
-        return Finding(
-            "microphone", State.WEAK, f"{text}: digital silence", "unmute it, or choose another with --audio mic:NAME"
-        )
-    if loudest < QUIETEST_DBFS:
-        remedy = "say something while this runs; if it stays below -60 dBFS, turn the input level up"
-        return Finding("microphone", State.WEAK, f"{text}: too quiet for a voice", remedy)
-    if quietest > LOUDEST_ROOM_DBFS:
-        remedy = "be silent for a moment while this runs; if it stays as loud, turn the input level down or find a quieter place"
-        return Finding("microphone", State.WEAK, f"{text}: never quiet", remedy)
-    return Finding("microphone", State.WORKS, text)
-
-
-def _cameras(_wanted: Wanted) -> Iterator[Finding]:
-    camera = _module("modalities.camera")
-    numbers = _camera_numbers()
-    if camera is None:
-        yield Finding("camera", State.NOT_BUILT, f"this M3R does not watch cameras ({len(numbers)} here)")
-    elif not numbers:
-        yield Finding(
-            "camera",
-            State.MISSING,
-            "no /dev/video* here",
-            "plug a camera in, or watch one in the network: --video rtsp://…",
-        )
-    else:
-        looked = [finding for number in numbers for finding in _watched(camera, number)]
-        # A camera has more than one device file, and only one of them gives pictures.
-        yield from [finding for finding in looked if finding.state is not State.MISSING] or looked
-
-
-def _camera_numbers() -> list[int]:
-    return sorted(int(path.name[5:]) for path in Path("/dev").glob("video*") if path.name[5:].isdecimal())
-
-
-def _watched(camera: ModuleType, number: int) -> Iterator[Finding]:
-    """One camera, opened as a run opens it and watched for WATCH_S."""
-    name = f"camera:{number}"
-    if not os.access(f"/dev/video{number}", os.R_OK | os.W_OK):
-        yield Finding(name, State.MISSING, f"/dev/video{number} may not be opened", "add yourself to the group video")
-        return
-    video_error: type[Exception] = camera.VideoError
-    stopping = threading.Event()
-    times_s: list[float] = []
-    giving_up = threading.Timer(WATCH_S + CAMERA_TIMEOUT_S, stopping.set)
-    try:
-        with _silence():
-            source: Any = camera.Camera(camera.camera_address(name), clock=time.monotonic)
-            giving_up.start()
-            for frame in source.frames(stopping):
-                times_s.append(frame.captured_at_s)
-                if times_s[-1] - times_s[0] >= WATCH_S:
-                    stopping.set()
-    except video_error as error:
-        yield Finding(name, State.MISSING, *_split(str(error)))
-        return
-    finally:
-        giving_up.cancel()
-    span_s = times_s[-1] - times_s[0] if times_s else 0.0
-    if span_s < WATCH_S / 2:
-        yield Finding(name, State.MISSING, "it opens but gives no moving picture", "uncover it, or plug it in again")
-        return
-    rate_hz = (len(times_s) - 1) / span_s
-    if rate_hz < SLOWEST_CAMERA_HZ:
-        remedy = "give it more light, or a port of its own: few pictures make gestures slow"
-        yield Finding(name, State.WEAK, f"{rate_hz:.0f} pictures a second", remedy)
-    else:
-        yield Finding(name, State.WORKS, f"{rate_hz:.0f} pictures a second")
 
 
 def _ports(wanted: Wanted) -> Iterator[Finding]:
@@ -306,7 +140,7 @@ def _ports(wanted: Wanted) -> Iterator[Finding]:
     try:
         port = free_udp_block(3)
     except VehicleError as error:
-        yield Finding("UDP ports", State.MISSING, *_split(str(error)))
+        yield Finding("UDP ports", State.MISSING, *parts_of(str(error)))
     else:
         yield Finding(
             "UDP ports", State.WORKS, f"free for the simulated fleet, such as {port} (of {PORTS[0]} to {PORTS[1]})"
@@ -330,7 +164,7 @@ async def _answer(colour: str, url: str) -> Finding:
         finally:
             await vehicle.close()
     except VehicleError as error:
-        return Finding(part, State.MISSING, *_split(str(error).removeprefix(f"{colour}: ")))
+        return Finding(part, State.MISSING, *parts_of(str(error).removeprefix(f"{colour}: ")))
     text = f"answers on {url}, flight mode {telemetry.flight_mode}"
     if not telemetry.healthy:
         reasons = ", ".join(telemetry.unhealthy)
@@ -346,39 +180,8 @@ PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("fetching", _fetching),
     ("voice model", _voice_model),
     ("hand model", _hand_model),
-    ("microphone", _microphones),
-    ("camera", _cameras),
+    ("microphone", microphones),
+    ("camera", cameras),
     ("UDP ports", _ports),
     ("vehicle", _vehicles),
 )
-
-
-def _split(sentence: str) -> Sequence[str]:
-    """Our errors say what is wrong, then, after a colon, what to do."""
-    wrong, colon, remedy = sentence.rstrip(".").rpartition(": ")
-    return (wrong, remedy) if colon else (remedy,)
-
-
-def _module(name: str) -> ModuleType | None:
-    """One of our modules; None where this M3R does not have it. A library that it lacks is an error as elsewhere."""
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == name:
-            return None
-        raise
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Native libraries write to standard error on their own; what matters comes back to us. Nothing else runs meanwhile."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)

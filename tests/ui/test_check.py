@@ -17,7 +17,9 @@ from modalities.audio import SAMPLE_RATE_HZ, quiet, read_audio
 from modalities.audio_devices import look_again
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 from ui import check as check_module
-from ui.check import PARTS, Finding, State, Wanted, check, show, shown
+from ui import check_devices
+from ui.check import PARTS, check, show
+from ui.findings import Finding, State, Wanted, shown
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 
@@ -95,7 +97,8 @@ def test_no_voice_model_says_how_to_get_one(no_model: None) -> None:
 
 
 def test_what_is_not_built_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check_module, "_module", lambda _name: None)
+    monkeypatch.setattr(check_module, "module", lambda _name: None)
+    monkeypatch.setattr(check_devices, "module", lambda _name: None)
     assert found("hand model")[0].state is State.NOT_BUILT
     assert found("camera")[0].state is State.NOT_BUILT
 
@@ -137,8 +140,8 @@ def cameras(monkeypatch: pytest.MonkeyPatch, numbers: list[int], rate_hz: dict[i
     module = SimpleNamespace(
         Camera=Camera, VideoError=VideoError, camera_address=lambda text: int(text.removeprefix("camera:"))
     )
-    monkeypatch.setattr(check_module, "_module", lambda _name: module)
-    monkeypatch.setattr(check_module, "_camera_numbers", lambda: numbers)
+    monkeypatch.setattr(check_devices, "module", lambda _name: module)
+    monkeypatch.setattr(check_devices, "_camera_numbers", lambda: numbers)
     monkeypatch.setattr("os.access", lambda *_: True)
 
 
@@ -156,7 +159,7 @@ def test_a_camera_that_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     monkeypatch.setattr("os.access", lambda *_: False)
     assert found("camera")[0].remedy == "add yourself to the group video"
-    monkeypatch.setattr(check_module, "_camera_numbers", list)
+    monkeypatch.setattr(check_devices, "_camera_numbers", list)
     assert "no /dev/video*" in found("camera")[0].text
 
 
