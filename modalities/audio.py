@@ -1,7 +1,7 @@
 """Audio from a file as a microphone would give it: small chunks of 16 kHz mono 16-bit, each with its capture time.
 
-Time is counted from the data, never from a clock, so a recording behaves like a live microphone. A live source later is
-another iterator of `Chunk`s.
+Time is counted from the data, never from a clock, so a recording behaves like a live microphone; a live microphone
+(`modalities.microphone`) is another iterator of `Chunk`s, with `Gap`s where sound is missing.
 """
 
 from __future__ import annotations
@@ -34,6 +34,17 @@ class Chunk:
 
     samples: Samples
     captured_at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Sound is missing here: what was being said is only half known. captured_at_s: up to when it is missing, as in Chunk.
+
+    ended: the source went away, so that nothing more will complete the utterance; otherwise it goes on with a hole in it.
+    """
+
+    captured_at_s: float
+    ended: bool
 
 
 def read_audio(path: Path | str) -> Samples:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import vosk
 
-from modalities.audio import SAMPLE_RATE_HZ, Chunk, Samples, quiet
+from modalities.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, quiet
 from modalities.models import ModelError
 from modalities.phrases import OTHER_WORDS, STOP_RIVALS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
 from modalities.voice_end import VoiceEnd
@@ -39,6 +39,8 @@ SECOND_LONGEST_S = 3.0
 SURE = 0.7
 STOP_GAP = 2.0
 """A final *stop* of the commands ear alone counts if the words ear explains the audio better by no more than this."""
+BEFORE_VOICE_S = 0.5
+"""Sound missing this shortly before a voice was heard may have held the beginning of what it said."""
 ALTERNATIVES = 8
 UNKNOWN_WORD = "[unk]"
 
@@ -98,6 +100,11 @@ class Ear:
             return segments[0]
         return [Hypothesis(" ".join(s[0].text for s in segments).strip(), sum(s[0].score for s in segments))]
 
+    def forget(self) -> None:
+        """Drop the utterance unheard."""
+        self._recognizer.Reset()
+        self._segments, self.partial = [], ""
+
     def _keep(self, result: str) -> None:
         heard = [
             Hypothesis(normalise(a["text"]), float(a["confidence"])) for a in json.loads(result).get("alternatives", [])
@@ -129,6 +136,8 @@ class Recognizer:
         self._commands = Ear(model, (*phrases, *rivals, *unknown))
         self._words = Ear(model, (*phrases, *single, *unknown))
         self._voice = VoiceEnd()
+        self._hole_s = -math.inf
+        self._began_s: float
         self._fresh: bool
         self._utterance: Samples
         self._room = np.random.default_rng(0)  # seeded: the same recording is always heard the same
@@ -150,10 +159,27 @@ class Recognizer:
         self._words.accept(data)
         if self._commands.partial != before:
             self._changed_s = now_s
+        if not math.isfinite(self._began_s) and (self._voice.has_spoken or self.partial):
+            self._began_s = now_s
         heard = [self._stop(now_s)] if self._stop_stands() else []
         if self._is_over(now_s):
             heard += self._close(now_s)
         return heard
+
+    def gap(self, gap: Gap) -> None:
+        """Sound is missing. No request is made of half an input: what is open is forgotten if the source went away, and
+        only STOP may come of it otherwise.
+        """
+        self._hole_s = gap.captured_at_s
+        self._voice.cut()
+        if gap.ended:
+            self.forget()
+
+    def forget(self) -> None:
+        """Drop the utterance that is open, unheard."""
+        self._commands.forget()
+        self._words.forget()
+        self._begin_utterance()
 
     def finish(self, now_s: float) -> list[Heard]:
         """The recording has ended: close what is open."""
@@ -180,6 +206,7 @@ class Recognizer:
         self._stop_partials = 0
         self._stopped = False
         self._changed_s = -math.inf
+        self._began_s = math.inf
         self._voice.forget()
 
     def _stop_stands(self) -> bool:
@@ -216,6 +243,7 @@ class Recognizer:
         utterance = self._utterance
         commands, words = self._commands.close(), self._words.close()
         stopped = self._stopped
+        holed = self._hole_s >= min(self._began_s, now_s) - BEFORE_VOICE_S
         self._begin_utterance()
         if stopped:  # the rest of an utterance with STOP asks for nothing
             return []
@@ -227,6 +255,8 @@ class Recognizer:
             second = self._understood(self._commands.hear_again(data), self._words.hear_again(data), end_s, now_s)
             if second is not None and (heard is None or second.confidence > heard.confidence):
                 heard = second
+        if holed and heard is not None and heard.command is not Command.STOP:
+            return []
         return [heard] if heard is not None else []
 
     def _understood(

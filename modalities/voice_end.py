@@ -58,6 +58,11 @@ class VoiceEnd:
         self.speaking = False
         self._peak_dbfs = -math.inf
 
+    def cut(self) -> None:
+        """The next samples do not follow the last ones. The noise floor is kept."""
+        self._rest = self._rest[:0]
+        self._recent = []
+
     def _frame(self, level_dbfs: float, end_s: float) -> None:
         self._recent = [*self._recent, level_dbfs][-SMOOTH_FRAMES:]
         smooth = sum(self._recent) / len(self._recent)

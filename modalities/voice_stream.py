@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable
 
-from modalities.audio import Chunk
+from modalities.audio import Chunk, Gap
 from modalities.voice import Heard, Recognizer
 from safety.vocabulary import ManeuverRequest, Modality
 
@@ -16,12 +16,12 @@ class VoiceStream:
     """Hears chunks at their own time and hands over requests, from its own thread.
 
     A recording's second s is the app's time began_s + s; no chunk is heard before its last sample would have been
-    captured. The callbacks run in this thread, so an asyncio app passes ones that use `call_soon_threadsafe`.
+    captured. A live microphone's chunks carry the app's own time, so began_s is 0 there. The callbacks run in this thread, so an asyncio app passes ones that use `call_soon_threadsafe`.
     """
 
     def __init__(
         self,
-        chunks: Iterable[Chunk],
+        chunks: Iterable[Chunk | Gap],
         recognizer: Recognizer,
         *,
         clock: Clock,
@@ -73,7 +73,10 @@ class VoiceStream:
             heard_s = chunk.captured_at_s
             if self._stopping.wait(max(0.0, self._began_s + heard_s - self._clock())):
                 return
-            self._hand_over(self._recognizer.accept(chunk))
+            if isinstance(chunk, Gap):
+                self._recognizer.gap(chunk)
+            else:
+                self._hand_over(self._recognizer.accept(chunk))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial
                 self._on_partial(partial)
