@@ -147,7 +147,7 @@ class _Run:
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
             setting = await _in_thread(lambda: prepare(self.options))
-            inputs = await _in_thread(lambda: open_inputs(self.options, setting.colours))
+            inputs = await _in_thread(lambda: open_inputs(self.options, setting.colours, self.clock, self._say_soon))
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
             self._recording = await _in_thread(lambda: self._open_record(setting, inputs))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from m3r_app.options import RunOptions
+from m3r_app.options import LiveMicrophone, RunOptions
 from modalities.script import ScriptedRequest, read_script
 from safety.vocabulary import ManeuverRequest
 
@@ -49,24 +49,32 @@ class Inputs:
 class Voice:
     """A recording of the operator's voice and what recognises it, loaded and ready."""
 
-    def __init__(self, options: RunOptions, colours: tuple[str, ...]) -> None:
-        """Raises AudioError, ModelError."""
+    def __init__(self, options: RunOptions, colours: tuple[str, ...], clock: Clock, say: Callable[[str], None]) -> None:
+        """say: told, from any thread, what becomes of a microphone. Raises AudioError, ModelError, MicrophoneError."""
         # Heavy, and not needed for scripts alone.
         import numpy as np
 
         from modalities.audio import quiet, read_audio
+        from modalities.microphone import Microphone
         from modalities.models import find_model
         from modalities.phrases import PhraseTable
         from modalities.voice import Recognizer, load_model
 
         assert options.audio is not None
-        self._samples = np.concatenate([read_audio(options.audio), quiet(TAIL_S)])
+        self._say = say
+        self._microphone: Microphone | None = None
+        if isinstance(options.audio, LiveMicrophone):
+            self._microphone = Microphone(options.audio.name, clock=clock, say=say)
+            self._microphone.open()
+        else:
+            self._samples = np.concatenate([read_audio(options.audio), quiet(TAIL_S)])
         found = find_model()
         self._recognizer = Recognizer(load_model(found.folder), PhraseTable(colours))
         self.model = found.name
         missing = self._recognizer.missing_words
         self.sentences = (
             found.sentence,
+            *([self._microphone.sentence] if self._microphone is not None else []),
             *([f"the voice model lacks {', '.join(missing)}: phrases with them cannot be heard"] if missing else []),
         )
 
@@ -82,11 +90,12 @@ class Voice:
             if not ended.done():
                 ended.set_result(error)
 
+        microphone = self._microphone
         stream = VoiceStream(
-            chunks(self._samples),
+            chunks(self._samples) if microphone is None else microphone.chunks(),
             self._recognizer,
             clock=clock,
-            began_s=began_s,
+            began_s=began_s if microphone is None else 0.0,  # live chunks carry the app's own time
             on_request=lambda request: _post(loop, sink, request),
             on_partial=lambda words: _post(loop, heard, words),
             on_end=lambda error: _post(loop, end, error),
@@ -95,8 +104,12 @@ class Voice:
         try:
             error = await ended
         finally:
-            stream.stop()
-        if error is not None:
+            if microphone is not None:
+                microphone.close()  # first: the stream's thread waits for sound
+            await asyncio.to_thread(stream.stop)
+        if error is not None and microphone is not None:
+            self._say(f"voice is off ({error}): use another way to say stop")
+        elif error is not None:
             raise InputError(f"the voice can no longer be heard ({error}): start again")
 
 
@@ -106,10 +119,15 @@ def _post(loop: asyncio.AbstractEventLoop, call: Callable[[T], None], value: T) 
         loop.call_soon_threadsafe(call, value)
 
 
-def open_inputs(options: RunOptions, colours: tuple[str, ...]) -> Inputs:
+def open_inputs(options: RunOptions, colours: tuple[str, ...], clock: Clock, say: Callable[[str], None]) -> Inputs:
     """Read and load everything that is to be played. Raises ScriptError, AudioError, ModelError: one sentence."""
     script = read_script(options.script, colours) if options.script is not None else ()
     if options.audio is None:
         return Inputs(script)
-    voice = Voice(options, colours)
+    from modalities.audio_devices import MicrophoneError
+
+    try:
+        voice = Voice(options, colours, clock, say)
+    except MicrophoneError as error:
+        return Inputs(script, sentences=(f"voice is off: {error}",))
     return Inputs(script, voice, voice.sentences, voice.model)

@@ -19,6 +19,13 @@ ALTITUDE_M = (-500.0, 9000.0)
 STANDARD_INPUT = Path("-")
 
 
+@dataclass(frozen=True, slots=True)
+class LiveMicrophone:
+    """Listen to a microphone. name: a part of its name; None: the system's default."""
+
+    name: str | None = None
+
+
 class OptionError(ValueError):
     """An option that cannot be used; one sentence that names it."""
 
@@ -29,8 +36,8 @@ class RunOptions:
 
     headless: bool = False
     """Machine-readable output; without it, output for a person."""
-    audio: Path | None = None
-    """A recording of the operator."""
+    audio: Path | LiveMicrophone | None = None
+    """A recording of the operator, or a microphone."""
     script: Path | None = None
     """Timed commands; `STANDARD_INPUT` for standard input."""
     pair: str | None = None
@@ -100,10 +107,15 @@ def parse_timeout(text: str) -> float:
     return _within("timeout", _number(text), TIMEOUT_S, "s")
 
 
-def parse_audio(text: str) -> Path | None:
-    """A recording; None for none."""
+def parse_audio(text: str) -> Path | LiveMicrophone | None:
+    """A recording, `mic` or `mic:NAME`; None for none."""
     if text == "mic":
-        raise OptionError("listening to a microphone is not built yet: give a recording, or none")
+        return LiveMicrophone()
+    if text.startswith("mic:"):
+        name = text.removeprefix("mic:").strip()
+        if not name:
+            raise OptionError("mic: lacks the microphone's name: write mic:NAME, or mic for the usual one")
+        return LiveMicrophone(name)
     return None if text == "none" else _path(text)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from m3r_app.options import (
+    LiveMicrophone,
     OptionError,
     RunOptions,
     parse_audio,
@@ -155,6 +156,7 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_run(commands)
     _add_sim(commands)
+    _add_check(commands)
     _add_models(commands)
     _add_evaluate(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram", _run_modes)
@@ -183,7 +185,12 @@ def _add_run(commands: Any) -> None:
     run = _add(commands, "run", "pair with a drone and fly what is asked for, as far as it is safe", _run_run)
     file = _typed(parse_file)
     run.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
-    run.add_argument("--audio", type=_typed(parse_audio), metavar="FILE|none", help="a recording of the operator")
+    run.add_argument(
+        "--audio",
+        type=_typed(parse_audio),
+        metavar="mic|mic:NAME|FILE|none",
+        help="a microphone, or a recording of the operator",
+    )
     run.add_argument("--video", type=_typed(parse_video), metavar="none", help="no gestures yet")
     run.add_argument("--script", type=file, metavar="FILE|-", help="timed commands, such as: 2.0 panel go left")
     run.add_argument("--pair", type=_typed(parse_colour), metavar="COLOUR", help="pair with this drone at the start")
@@ -212,6 +219,19 @@ def _add_sim(commands: Any) -> None:
     sim.add_argument("--scenario", type=_typed(parse_file), metavar="FILE", help="scenario file (TOML)")
     sim.add_argument("--port-base", metavar="PORT", help="UDP port of the first drone's ground station (14540)")
     sim.add_argument("--truth", type=_typed(parse_file), metavar="FILE", help="write the true states there, JSON lines")
+
+
+def _add_check(commands: Any) -> None:
+    check = _add(commands, "check", "look at what is here for flying by voice and hands", _run_check)
+    check.add_argument(
+        "--vehicle",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="COLOUR=MAVLINK-URL",
+        help="does this drone answer?",
+    )
+    check.add_argument("--audio", type=_typed(parse_audio), metavar="mic:NAME", help="listen to this microphone")
 
 
 def _add_models(commands: Any) -> None:
@@ -260,6 +280,15 @@ def _run_sim(options: argparse.Namespace) -> int:
 
     given = {"--scenario": options.scenario, "--port-base": options.port_base, "--truth": options.truth}
     return simulate([word for name, value in given.items() if value is not None for word in (name, str(value))])
+
+
+def _run_check(options: argparse.Namespace) -> int:
+    from ui.check import Wanted, show
+
+    if options.audio is not None and not isinstance(options.audio, LiveMicrophone):
+        raise OptionError(f"--audio {options.audio}: check listens to a microphone, give mic or mic:NAME")
+    name = options.audio.name if options.audio is not None else None
+    return show(Wanted(parse_vehicles(options.vehicle), name))
 
 
 def _run_models(options: argparse.Namespace) -> int:

@@ -1,0 +1,71 @@
+"""A live microphone flies the simulated drone through the whole app, and is unplugged in mid-flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modalities.audio import quiet, read_audio
+from modalities.models import ModelError, find_model
+from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
+from tests.whole import PLAIN, App, m3r
+
+RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
+RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60")
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    if missing():
+        pytest.skip(f"no virtual microphone without {missing()} (apt: {PACKAGES})")
+    try:
+        find_model()
+    except ModelError as error:
+        pytest.skip(f"no voice model: {error}")
+    server = SoundServer(tmp_path)
+    for name, value in server.environment.items():
+        monkeypatch.setenv(name, value)
+    server.start()
+    yield server
+    server.stop()
+
+
+def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
+    def say(name: str) -> None:
+        server.play(np.concatenate([quiet(0.5), read_audio(RECORDINGS / name), quiet(1.0)]))
+
+    app = App([*RUN, "--audio", f"mic:{MICROPHONE}"])
+    app.until("pair", status="confirmed")
+    say("go_left/go-left_0.ogg")
+    app.until("motion", status="started")
+    server.unplug()
+    app.until(
+        "announce",
+        text=f"the microphone {MICROPHONE} is gone: you are not heard until it is back, so use another way to say stop",
+    )
+    app.until("motion", status="completed")  # what was asked for goes on
+    server.plug()
+    app.until("announce", text=f"the microphone {MICROPHONE} is back: you are heard again")
+    say("go_up/go-up_0.ogg")
+    app.until("motion", status="started")
+    say("stop/stop_0.ogg")
+    app.until("motion", status="aborted")
+    app.process.terminate()
+    ran = app.finish()
+    assert [(r["command"], r["modality"]) for r in ran.of("request")] == [
+        ("go_left", "voice"), ("go_up", "voice"), ("stop", "voice"),
+    ]  # fmt: skip
+    assert all(0.0 <= r["latency_ms"] < 1500.0 for r in ran.of("request"))
+    assert ran.events[-1]["violations"] == 0
+
+
+def test_without_the_microphone_the_rest_flies(server: SoundServer) -> None:
+    ran = m3r(*RUN, "--audio", "mic:nobody", "--script", "-", stdin="0.5 panel go left\n")
+    assert ran.status == 0
+    assert ran.of(
+        "announce", text=f"voice is off: there is no microphone 'nobody': there are {MICROPHONE}, pulse, default"
+    )
+    assert ran.of("motion", status="completed")
