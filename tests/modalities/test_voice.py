@@ -13,8 +13,9 @@ import pytest
 import vosk
 
 from modalities.audio import AudioError, Chunk, Samples, chunks, quiet, read_audio
-from modalities.evaluate import EvaluationError, evaluate_voice, hear
+from modalities.evaluate import evaluate_voice, hear
 from modalities.models import ModelError, VoiceModel
+from modalities.outcomes import EvaluationError
 from modalities.phrases import PhraseTable
 from modalities.script import read_script
 from modalities.voice import CLOSE_AFTER_S, Heard, Hypothesis, Recognizer, confidence_of
