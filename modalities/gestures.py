@@ -109,14 +109,18 @@ DISAGREE = Reading(None, 0.0, "two hands that disagree")
 
 # How likely a finger is extended: logistic regression on how far its two outer joints are bent and how far its tip reaches
 # beyond its middle joint, seen from the wrist, in palms; for the thumb on its bend and on its tip's distance from the
-# little finger's knuckle, in the picture and in the landmarker's world. Fitted (L2 0.3) on the digits zero to nine shown by
+# little finger's knuckle, in the picture and in the landmarker's world. Fitted (L2 1) on the digits zero to nine shown by
 # 105 people, at all four right angles; measured on people left out of the fit.
-_FINGER_BIAS = 2.03
-_FINGER_PER_RIGHT_ANGLE = -5.81
-_FINGER_PER_PALM = 6.03
-_THUMB_BIAS = -6.66
-_THUMB_PER_RIGHT_ANGLE = (-1.80, -3.16)
-_THUMB_PER_PALM = (4.39, 3.55)
+_FINGER_BIAS = 2.33
+_FINGER_PER_RIGHT_ANGLE = -6.71
+_FINGER_PER_PALM = 5.91
+_THUMB_BIAS = -7.25
+_THUMB_PER_RIGHT_ANGLE = (-2.10, -2.54)
+_THUMB_PER_PALM = (4.56, 3.70)
+_THUMB_GOES_ALONG = 0.6
+"""Log odds that the thumb does as the others do: out beside four extended fingers, in otherwise. A thumb that merely rests
+along the index finger is in; and a palm that is missed is worse than one that is imagined.
+"""
 
 _SURE_WITHIN_DEG = 36.0
 """Fingers this far off the picture's axes point there as likely as not; beyond 45° it would be another direction."""
@@ -170,24 +174,19 @@ def read_hand(hand: Hand, *, mirrored: bool = False) -> Reading:
 def finger_states(hand: Hand) -> Fingers:
     """How likely each finger is extended, whatever the hand's size, side and rotation."""
     picture, world = _palm(hand.points_px), _palm(hand.world_m)
-    likely = [
-        _logistic(
-            _THUMB_BIAS
-            + sum(
-                per_angle * _bend_deg(points, (1, 2, 3, 4)) / 90.0 + per_palm * _apart(points, 4, 17) / palm
-                for points, palm, per_angle, per_palm in (
-                    (hand.points_px, picture, _THUMB_PER_RIGHT_ANGLE[0], _THUMB_PER_PALM[0]),
-                    (hand.world_m, world, _THUMB_PER_RIGHT_ANGLE[1], _THUMB_PER_PALM[1]),
-                )
-            )
-        )
-    ]
+    others = []
     for knuckle in _KNUCKLES:
         joints = (knuckle, knuckle + 1, knuckle + 2, knuckle + 3)
         reach = (_apart(hand.points_px, joints[3], _WRIST) - _apart(hand.points_px, joints[1], _WRIST)) / picture
         bend = _bend_deg(hand.points_px, joints) / 90.0
-        likely.append(_logistic(_FINGER_BIAS + _FINGER_PER_RIGHT_ANGLE * bend + _FINGER_PER_PALM * reach))
-    return Fingers(*likely)
+        others.append(_logistic(_FINGER_BIAS + _FINGER_PER_RIGHT_ANGLE * bend + _FINGER_PER_PALM * reach))
+    thumb = _THUMB_BIAS + (_THUMB_GOES_ALONG if min(others) > 0.5 else -_THUMB_GOES_ALONG)
+    for points, palm, per_angle, per_palm in (
+        (hand.points_px, picture, _THUMB_PER_RIGHT_ANGLE[0], _THUMB_PER_PALM[0]),
+        (hand.world_m, world, _THUMB_PER_RIGHT_ANGLE[1], _THUMB_PER_PALM[1]),
+    ):
+        thumb += per_angle * _bend_deg(points, (1, 2, 3, 4)) / 90.0 + per_palm * _apart(points, 4, 17) / palm
+    return Fingers(_logistic(thumb), *others)
 
 
 def pointing(points_px: Points, tips: Sequence[int], *, mirrored: bool = False) -> tuple[Direction, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any, Self
 
 import cv2
@@ -23,8 +22,6 @@ class HandDetector:
 
     def __init__(self, model: HandModel) -> None:
         """Takes seconds (imports and compiles). Raises ModelError for an unusable model or missing libraries."""
-        os.environ.setdefault("GLOG_minloglevel", "2")  # its notes on graphs and delegates are not for operators
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
         hand_model_at(model.path, model.origin)  # it may have changed since it was found
         try:
             import mediapipe
