@@ -18,7 +18,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 WIDTH_PX, HEIGHT_PX = 640, 480
-RATE_HZ = 15.0
+RATE_HZ = 12.0
 SHOWN_S, MOVING_S, AWAY_S = 0.8, 0.27, 0.4
 PALM_PX = 112.0
 TILT_DEG = -16.0
@@ -200,8 +200,8 @@ def main() -> None:
     fist = Pose((1.0, 1.0, 1.0, 1.0, 1.0))
     folder = HERE / "hands"
     folder.mkdir(exist_ok=True)
-    target = folder / "all_nine.webm"
-    writer = cv2.VideoWriter(str(target), cv2.VideoWriter.fourcc(*"VP90"), RATE_HZ, (WIDTH_PX, HEIGHT_PX))
+    target = folder / "all_nine.mp4"
+    writer = cv2.VideoWriter(str(target), cv2.VideoWriter.fourcc(*"mp4v"), RATE_HZ, (WIDTH_PX, HEIGHT_PX))
     shown = []
     count = 0
 
