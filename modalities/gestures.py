@@ -155,7 +155,7 @@ def read_hand(hand: Hand, *, mirrored: bool = False) -> Reading:
     if not _is_whole(hand):
         return Reading(None, 0.0, "part of a hand")
     fingers = finger_states(hand)
-    sure = fingers.sureness * min(1.0, hand.score)
+    sure = fingers.sureness * (hand.score if 0.0 <= hand.score <= 1.0 else 0.0)
     extended = fingers.extended
     tips: tuple[int, ...]
     match extended:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 import cv2
@@ -17,12 +20,38 @@ MOST_HANDS = 2
 LIBRARIES = "libegl1 and libgles2"
 
 
+@contextmanager
+def _quiet_library() -> Iterator[None]:
+    """While the native library loads, what it says about its graphs and delegates goes nowhere; it has no setting for that.
+    Standard error is the whole process's, so this is for the time before anything flies.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is none to keep quiet
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
 class HandDetector:
     """Finds hands in successive pictures of one video. Used by one thread at a time; close it."""
 
     def __init__(self, model: HandModel) -> None:
         """Takes seconds (imports and compiles). Raises ModelError for an unusable model or missing libraries."""
+        self._last_ms = -1
         hand_model_at(model.path, model.origin)  # it may have changed since it was found
+        with _quiet_library():
+            self._load(model)
+            self.detect(np.zeros((480, 640, 3), np.uint8), 0.0)  # the first picture takes longest, and is talked about
+
+    def _load(self, model: HandModel) -> None:
         try:
             import mediapipe
             from mediapipe.tasks.python import BaseOptions, vision
@@ -42,7 +71,6 @@ class HandDetector:
             raise ModelError(
                 f"{model.path} is not a usable hand model: delete it and run `m3r models fetch`"
             ) from error
-        self._last_ms = -1
 
     def detect(self, picture: Picture, at_s: float) -> tuple[Hand, ...]:
         """The hands in the next picture of the video. at_s: its time in seconds, from any start; what does not lie after the
