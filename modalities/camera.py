@@ -9,7 +9,7 @@ from __future__ import annotations
 import random
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import cv2
@@ -71,17 +71,19 @@ class Camera:
         self._newest: Frame | None = None
         self._last: Picture | None = None
         self._stopping = threading.Event()
+        self._watched = False
         first = self._open()
         if first is None or self._read(first) is None:
             if first is not None:
                 first.release()
             raise VideoError(f"{self.name} gives no picture: check that it is there and that nothing else uses it")
-        self._first: cv2.VideoCapture | None = first
-        self._thread = threading.Thread(target=self._capture, name=self.name, daemon=True)
-
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
-        """See VideoSource. Once only; it goes on through losses until `stopping` is set."""
+        # From now on, watched or not: a picture that had waited in a queue would be stamped too late.
+        self._thread = threading.Thread(target=self._capture, args=(first,), name=self.name, daemon=True)
         self._thread.start()
+
+    def frames(self, stopping: threading.Event) -> Generator[Frame]:
+        """See VideoSource. Once only; it goes on through losses until `stopping` is set."""
+        self._watched = True
         try:
             silent_since_s = self._clock()
             silent = False
@@ -106,11 +108,8 @@ class Camera:
     def close(self) -> None:
         """Let the camera go; calling it again does nothing."""
         self._stopping.set()
-        if self._thread.ident is not None and self._thread is not threading.current_thread():
+        if self._thread is not threading.current_thread():
             self._thread.join(READ_TIMEOUT_S + 1.0)
-        first, self._first = self._first, None
-        if first is not None:
-            first.release()
 
     def _take(self) -> Frame | None:
         """The newest picture, waited for briefly."""
@@ -120,8 +119,8 @@ class Camera:
             frame, self._newest = self._newest, None
             return frame
 
-    def _capture(self) -> None:
-        capture, self._first = self._first, None
+    def _capture(self, first: cv2.VideoCapture) -> None:
+        capture: cv2.VideoCapture | None = first
         pause_s = FIRST_PAUSE_S
         while True:
             if capture is not None:
@@ -145,7 +144,7 @@ class Camera:
                 continue  # a sensor's noise is never the same twice: this is the old picture, not a new one
             self._last = frame.picture
             with self._fresh:
-                self.dropped += self._newest is not None
+                self.dropped += self._watched and self._newest is not None
                 self._newest = frame
                 self._fresh.notify()
         return any_came

@@ -133,7 +133,7 @@ _IN_PLANE_SCALE = 0.05
 def read_hands(hands: Sequence[Hand], *, mirrored: bool = False) -> Reading:
     """What all hands in one picture ask for together.
 
-    An open palm wins, since a false stop is safe. Otherwise hands that show different gestures ask for nothing; a hand that
+    An open palm wins: STOP beats all (X4), and a false one is safe. Otherwise hands that show different gestures ask for nothing; a hand that
     shows none (a fist, a resting hand) does not object.
     """
     readings = [read_hand(hand, mirrored=mirrored) for hand in hands]

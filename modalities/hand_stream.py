@@ -1,9 +1,13 @@
-"""Hands as a modality of the running app: a thread of its own that turns pictures into maneuver requests as time passes."""
+"""Hands as a modality of the running app: a thread of its own that turns pictures into maneuver requests as time passes.
+
+Source: R1, X4.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import closing
 
 from modalities.gestures import read_hands
 from modalities.hands import HandDetector
@@ -76,17 +80,18 @@ class HandStream:
 
     def _watch(self) -> None:
         seen = ""
-        for frame in self._source.frames(self._stopping):
-            hands = self._detector.detect(frame.picture, frame.captured_at_s)
-            reading = read_hands(hands, mirrored=self._mirrored)
-            held = self._hold.accept(reading, frame.captured_at_s)
-            if self._stopping.is_set():
-                return
-            if held is not None:
-                self._hand_over(held)
-            if reading.text != seen:
-                seen = reading.text
-                self._on_seen(seen)
+        with closing(self._source.frames(self._stopping)) as frames:  # a camera is let go at once
+            for frame in frames:
+                hands = self._detector.detect(frame.picture, frame.captured_at_s)
+                reading = read_hands(hands, mirrored=self._mirrored)
+                held = self._hold.accept(reading, frame.captured_at_s)
+                if self._stopping.is_set():
+                    return
+                if held is not None:
+                    self._hand_over(held)
+                if reading.text != seen:
+                    seen = reading.text
+                    self._on_seen(seen)
 
     def _hand_over(self, held: Held) -> None:
         self._made += 1

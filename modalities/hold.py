@@ -20,7 +20,7 @@ LEAST_SHARE = 0.8
 LEAST_FRAMES = 3
 LEAST_STOP_FRAMES = 2
 LONGEST_GAP_S = 0.25
-"""A longer time without the gesture, or without a frame, ends the hold: what was not seen was not held."""
+"""A longer time without a frame ends the hold: what was not seen was not held."""
 REARM_S = 0.3
 """How long frames must show something else before the same gesture counts again."""
 _ROUNDING_S = 1e-6
@@ -49,7 +49,6 @@ class Hold:
         self._frames: deque[tuple[float, Reading]] = deque()
         self._command: Command | None = None
         self._since_s = math.inf
-        self._shown_s = -math.inf
         self._spent: Command | None = None
         self._changed_s: float | None = None
 
@@ -80,18 +79,18 @@ class Hold:
             self._spent = self._changed_s = None
 
     def _follow(self, reading: Reading, now_s: float) -> None:
-        command = reading.command
-        if now_s - self._shown_s > LONGEST_GAP_S or (command is not None and command is not self._command):
-            self._begin(command, now_s)
-        if command is not None:
-            self._shown_s = now_s
+        if reading.command is not None and reading.command is not self._command:
+            self._begin(reading.command, now_s)
         self._frames.append((now_s, reading))
         while self._frames[0][0] < now_s - self._hold_s - _ROUNDING_S:
             self._frames.popleft()
 
     def _begin(self, command: Command | None, now_s: float) -> None:
-        self._frames.clear()
-        self._command, self._since_s = command, now_s
+        """Count anew, unless nothing but empty frames came before: they belong to the M of which N must show it."""
+        if self._command is not None or command is None:
+            self._frames.clear()
+            self._since_s = now_s
+        self._command = command
 
     def _completed(self, command: Command, now_s: float) -> Held | None:
         hold_s = self.hold_for_s(command)

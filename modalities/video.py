@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -48,7 +48,7 @@ class VideoSource(Protocol):
 
     dropped: int
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Generator[Frame]:
         """Until the video ends or `stopping` is set. Raises VideoError where it breaks off for good."""
         ...
 
@@ -75,7 +75,7 @@ class VideoFile:
         known = math.isfinite(rate_hz) and 0.0 < rate_hz <= _HIGHEST_RATE_HZ
         self.rate_hz = rate_hz if known else USUAL_RATE_HZ
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Generator[Frame]:
         """Every picture, from the start. Raises VideoError at the end of what a damaged file still gives."""
         capture = self._open()
         count = 0
@@ -119,7 +119,7 @@ class PlayedFile:
         self._clock = clock
         self._began_s = began_s
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Generator[Frame]:
         """See VideoSource. A picture is left out where the next one is due already."""
         for frame in self._file.frames():
             due_s = self._began_s + frame.captured_at_s

@@ -1,4 +1,4 @@
-"""From landmarks to one of nine gestures or nothing: grammar, directions, size, side, mirror, doubt."""
+"""From landmarks to one of nine gestures or nothing: grammar, directions, size, side, mirror, doubt (R1, X4)."""
 
 from __future__ import annotations
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from modalities.evaluate_hands import evaluate_hands
 from modalities.gestures import Hand
 from modalities.hand_stream import HandStream
 from modalities.hands import HandDetector
-from modalities.hold import HOLD_S
+from modalities.hold import HOLD_S, LEAST_SHARE
 from modalities.models import HandModel, ModelError
 from modalities.outcomes import EvaluationError
 from modalities.video import Frame, VideoError, VideoFile
@@ -26,7 +27,7 @@ from tests.modalities.hand_shapes import make_hand
 ROOT = Path(__file__).resolve().parents[2]
 VIDEO = ROOT / "tests" / "recordings" / "hands" / "all_nine.mp4"
 SHOWN = json.loads(VIDEO.with_suffix(".json").read_text())
-PHOTOS = ROOT.parent / "shared" / "data" / "hands"
+PHOTOS = Path(os.environ.get("M3R_HANDS") or ROOT.parent / "shared" / "data" / "hands")
 
 
 class Source:
@@ -36,7 +37,7 @@ class Source:
         self.dropped = 0
         self._frames = frames
 
-    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+    def frames(self, stopping: threading.Event) -> Generator[Frame]:
         for frame in self._frames:
             if stopping.is_set():
                 return
@@ -93,7 +94,8 @@ def test_a_held_gesture_becomes_one_request_that_says_what_was_seen() -> None:
     (request,) = seen.requests
     assert (request.command, request.modality, request.id) == ("go_left", Modality.GESTURE, "hand-1")
     assert request.evidence == "index finger left, held 0.5 s"
-    assert request.captured_at_s == pytest.approx(5.0 + 5 / 20.0 + HOLD_S)
+    shown_s = request.captured_at_s - (5.0 + 5 / 20.0)
+    assert LEAST_SHARE * HOLD_S <= shown_s + 1e-6 <= HOLD_S
     assert request.confidence >= 0.7
     assert seen.texts == ["no hand", "index finger left"]
     assert stream.stop()
@@ -234,7 +236,9 @@ def test_a_model_that_only_looks_like_one_is_refused(tmp_path: Path) -> None:
         HandDetector(HandModel(path, "a test"))
 
 
-@pytest.mark.skipif(not PHOTOS.is_dir(), reason="no photos of real hands beside the project (../shared/data/hands)")
+@pytest.mark.skipif(
+    not PHOTOS.is_dir(), reason="no photos of real hands (../shared/data/hands, or the folder that M3R_HANDS names)"
+)
 def test_real_hands_of_a_few_people(tmp_path: Path, hand_model: HandModel) -> None:
     """Every fifth photo; all of them are measured by `m3r evaluate hands`."""
     for folder in sorted(PHOTOS.iterdir()):

@@ -1,4 +1,4 @@
-"""Held long enough, in most frames, once; and losing the hand is never a request."""
+"""Held long enough, in most frames, once; and losing the hand is never a request (R1, X4)."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ def test_a_palm_stops_after_half_the_time(rate_hz: float) -> None:
 def test_too_short_is_nothing() -> None:
     assert play(Hold(), [LEFT] * 15 + [NOTHING] * 60) == []
     assert play(Hold(), [PALM] * 7 + [NOTHING] * 60) == []
+    assert play(Hold(), [NOTHING] * 30 + [LEFT] * 12 + [NOTHING] * 60) == []
+    assert len(play(Hold(), [NOTHING] * 30 + [LEFT] * 13 + [NOTHING] * 60)) == 1, "13 of the 16 frames of half a second"
 
 
 def test_losing_the_hand_is_never_a_request() -> None:
