@@ -48,20 +48,21 @@ def evaluate_hands(
 ) -> dict[str, object]:
     """The contract's object for `m3r evaluate hands`: strict JSON, latencies in ms, null where there is nothing to tell.
 
-    threshold: the confidence from which a request counts. progress: recordings done and in all. Each recording is seen by a
-    fresh detector. Raises EvaluationError, VideoError or ModelError, which name what is wrong.
+    threshold: the confidence from which a request counts. progress: recordings done and in all. The detector
+    forgets each recording before the next. Raises EvaluationError, VideoError or ModelError, which name what is wrong.
     """
     recordings = recordings_in(Path(folder))
     trials: list[Trial] = []
     no_hand = 0
-    for done, (name, path) in enumerate(recordings):
-        progress(done, len(recordings))
-        with HandDetector(model) as detector:
+    with HandDetector(model) as detector:
+        for done, (name, path) in enumerate(recordings):
+            progress(done, len(recordings))
+            detector.forget()
             answers, hand_seen = watch(frames_of(path, hold_s), detector, Hold(hold_s), mirrored=mirrored)
-        if hand_seen:
-            trials.append(Trial(name, expected_of(name), answers))
-        else:
-            no_hand += 1
+            if hand_seen:
+                trials.append(Trial(name, expected_of(name), answers))
+            else:
+                no_hand += 1
     progress(len(recordings), len(recordings))
     return {
         "commands": of_commands(trials, threshold),

@@ -18,6 +18,7 @@ from modalities.video import Picture
 MOST_HANDS = 2
 """Two, so that hands that disagree are seen."""
 LIBRARIES = "libegl1 and libgles2"
+_EMPTY: Picture = np.zeros((480, 640, 3), np.uint8)
 
 
 @contextmanager
@@ -46,10 +47,11 @@ class HandDetector:
     def __init__(self, model: HandModel) -> None:
         """Takes seconds (imports and compiles). Raises ModelError for an unusable model or missing libraries."""
         self._last_ms = -1
+        self._begin_ms = 0
         hand_model_at(model.path, model.origin)  # it may have changed since it was found
         with _quiet_library():
             self._load(model)
-            self.detect(np.zeros((480, 640, 3), np.uint8), 0.0)  # the first picture takes longest, and is talked about
+            self.detect(_EMPTY, 0.0)  # the first picture takes longest, and is talked about
 
     def _load(self, model: HandModel) -> None:
         try:
@@ -77,7 +79,8 @@ class HandDetector:
         last one counts as 1 ms later, since the landmarker's time must increase.
         """
         height_px, width_px = picture.shape[:2]
-        self._last_ms = max(self._last_ms + 1, round(at_s * 1000.0) if math.isfinite(at_s) else 0)
+        at_ms = self._begin_ms + round(at_s * 1000.0) if math.isfinite(at_s) else 0
+        self._last_ms = max(self._last_ms + 1, at_ms)
         # A conversion, not a view: the landmarker reads a view that is not contiguous wrongly.
         image = self._mediapipe.Image(self._mediapipe.ImageFormat.SRGB, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
         result = self._landmarker.detect_for_video(image, self._last_ms)
@@ -94,6 +97,11 @@ class HandDetector:
                 result.handedness, result.hand_landmarks, result.hand_world_landmarks, strict=True
             )
         )
+
+    def forget(self) -> None:
+        """Another video follows, whose time may start anew: an empty picture ends all tracking."""
+        self.detect(_EMPTY, 0.0)
+        self._begin_ms = self._last_ms + 1000
 
     def close(self) -> None:
         """Give its memory and threads back; calling it again does nothing."""
