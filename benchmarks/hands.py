@@ -3,12 +3,12 @@
     python benchmarks/hands.py [VIDEO]
 
 VIDEO: without it, the project's own drawn hands. Bare: MediaPipe's landmarker in a loop, decoding and colour conversion
-included, same options. Ours: the whole hand stream, in its own thread. Both on the same video in this run, in turn.
+included, same options. Ours: the whole hand stream, in its own thread. Both on the same video in this run, in turn; the fastest
+round of each counts, as the least disturbed by what else the machine does.
 """
 
 from __future__ import annotations
 
-import statistics
 import sys
 import threading
 import time
@@ -28,7 +28,7 @@ from modalities.video import Frame, VideoError, VideoFile
 from safety.vocabulary import ManeuverRequest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROUNDS = 3
+ROUNDS = 4
 LATENCY_BAR_MS = 5.0
 THROUGHPUT_BAR = 0.95
 
@@ -120,7 +120,7 @@ def our_rate_hz(file: VideoFile, model: HandModel) -> tuple[float, list[float]]:
 
 def main(arguments: list[str]) -> int:
     try:
-        file = VideoFile(arguments[0] if arguments else ROOT / "tests" / "recordings" / "hands" / "all_nine.mp4")
+        file = VideoFile(arguments[0] if arguments else ROOT / "tests" / "videos" / "all_nine.mp4")
         model = find_hand_model()
         print(f"{model.sentence}; video: {file.path}")
         bare, ours, latencies_s = [], [], []
@@ -135,12 +135,12 @@ def main(arguments: list[str]) -> int:
     if not latencies_s:
         print(f"{file.path} shows no gesture that is held: nothing to measure", file=sys.stderr)
         return 2
-    ratio = statistics.median(ours) / statistics.median(bare)
+    ratio = max(ours) / max(bare)
     p50, p95 = (float(np.percentile(latencies_s, percent)) * 1000.0 for percent in (50, 95))
     table = Table(title="hands: what recognition costs beside the landmarker alone")
     for column in ("", "bare", "ours", "bar"):
         table.add_column(column, justify="right")
-    table.add_row("pictures per second, median", f"{statistics.median(bare):.1f}", f"{statistics.median(ours):.1f}", "")
+    table.add_row("pictures per second, best round", f"{max(bare):.1f}", f"{max(ours):.1f}", "")
     table.add_row("throughput beside bare", "1", f"{ratio:.3f}", f"≥ {THROUGHPUT_BAR}")
     table.add_row(f"frame to request beyond the landmarker, p50 of {len(latencies_s)}, ms", "", f"{p50:.2f}", "")
     table.add_row("... p95, ms", "", f"{p95:.2f}", f"≤ {LATENCY_BAR_MS:g}")

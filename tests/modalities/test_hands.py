@@ -25,7 +25,7 @@ from safety.vocabulary import ManeuverRequest, Modality
 from tests.modalities.hand_shapes import make_hand
 
 ROOT = Path(__file__).resolve().parents[2]
-VIDEO = ROOT / "tests" / "recordings" / "hands" / "all_nine.mp4"
+VIDEO = ROOT / "tests" / "videos" / "all_nine.mp4"
 SHOWN = json.loads(VIDEO.with_suffix(".json").read_text())
 PHOTOS = Path(os.environ.get("M3R_HANDS") or ROOT.parent / "shared" / "data" / "hands")
 

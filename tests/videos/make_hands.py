@@ -1,4 +1,4 @@
-"""Makes the videos in the folder `hands` beside this file: `python tests/recordings/make_hands.py`.
+"""Makes the video beside this file: `python tests/videos/make_hands.py`.
 
 A hand of spheres on a skeleton, shaded like skin, in front of a wall: all nine gestures, and hands that ask for nothing. Drawn,
 so that the project ships what it tests with; how well real hands are recognised is measured on real pictures. `all_nine.json`
@@ -198,9 +198,7 @@ def main() -> None:
     rng = np.random.default_rng(7)
     background = wall(rng)
     fist = Pose((1.0, 1.0, 1.0, 1.0, 1.0))
-    folder = HERE / "hands"
-    folder.mkdir(exist_ok=True)
-    target = folder / "all_nine.mp4"
+    target = HERE / "all_nine.mp4"
     writer = cv2.VideoWriter(str(target), cv2.VideoWriter.fourcc(*"mp4v"), RATE_HZ, (WIDTH_PX, HEIGHT_PX))
     shown = []
     count = 0
@@ -234,7 +232,7 @@ def main() -> None:
         for number in range(moving):
             write(between(pose, start, number / moving), 0.3 * number)
     writer.release()
-    (folder / "all_nine.json").write_text(json.dumps(shown, indent=1) + "\n")
+    (HERE / "all_nine.json").write_text(json.dumps(shown, indent=1) + "\n")
 
 
 if __name__ == "__main__":
