@@ -24,8 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from modalities.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, quiet, read_audio
-from modalities.evaluate import PADDING_S, hear, percentile_ms
+from modalities.evaluate import PADDING_S, hear
 from modalities.models import ModelError, find_model
+from modalities.outcomes import percentile_ms
 from modalities.phrases import PhraseTable
 from modalities.voice import UNKNOWN_WORD, Recognizer, load_model
 from modalities.voice_end import VoiceEnd

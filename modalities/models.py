@@ -1,12 +1,13 @@
-"""Which voice model is in use, where it came from, and under what licence.
+"""Which voice model and which hand model are in use, where they came from, and under what licence.
 
 Looked for in order: the folder named by the environment variable M3R_MODELS, then the user's cache, which
-`modalities.model_sources` fills.
+`modalities.model_sources` and `modalities.hand_model_source` fill.
 """
 
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +24,12 @@ _LICENCES = {
     "vosk-model-en-us-0.22-lgraph": "Apache-2.0",
     "vosk-model-small-en-us-zamia-0.5": "LGPL-3.0",
 }
+HAND_MODEL_NAME = "hand_landmarker.task"
+_HAND_PARTS = ("hand_detector.tflite", "hand_landmarks_detector.tflite")
 
 
 class ModelError(ValueError):
-    """A voice model that is missing or cannot be used; one sentence that names it and says what to do."""
+    """A model that is missing or cannot be used; one sentence that names it and says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,23 @@ class VoiceModel:
     def sentence(self) -> str:
         """Which model is in use, for the operator."""
         return f"voice model {self.name} ({self.licence}) from {self.origin}, in {self.folder}"
+
+
+@dataclass(frozen=True, slots=True)
+class HandModel:
+    """A hand landmark bundle on this machine. origin: how it was found, for people."""
+
+    path: Path
+    origin: str
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+    @property
+    def sentence(self) -> str:
+        """Which model is in use, for the operator."""
+        return f"hand model {self.name} (Apache-2.0) from {self.origin}, in {self.path.parent}"
 
 
 def cache_folder() -> Path:
@@ -103,3 +123,28 @@ def _models_under(folder: Path, origin: str) -> list[VoiceModel]:
     candidates = [folder] if not missing_parts(folder) else sorted(path for path in folder.iterdir() if path.is_dir())
     models = [voice_model_in(path, origin) for path in candidates if not missing_parts(path)]
     return sorted(models, key=lambda model: not any(word in model.name for word in _ENGLISH))
+
+
+def hand_model_at(path: Path, origin: str) -> HandModel:
+    """The hand model that a file is. Raises ModelError for one that is missing, truncated or something else."""
+    if not path.is_file():
+        raise ModelError(f"hand model {path} does not exist: run `m3r models fetch`")
+    try:
+        with zipfile.ZipFile(path) as bundle:  # its table stands at the end: a truncated file has none
+            lacking = [part for part in _HAND_PARTS if part not in bundle.namelist()]
+    except (zipfile.BadZipFile, OSError) as error:
+        raise ModelError(f"{path} is truncated or no hand model: delete it and run `m3r models fetch`") from error
+    if lacking:
+        raise ModelError(f"{path} is no hand model, it lacks {', '.join(lacking)}: run `m3r models fetch`")
+    return HandModel(path, origin)
+
+
+def find_hand_model(environ: Mapping[str, str] | None = None) -> HandModel:
+    """The hand model in use. Raises ModelError if there is none, or if the first one found cannot be used."""
+    environ = os.environ if environ is None else environ
+    named = environ.get(MODELS_VARIABLE, "")
+    folders = [(Path(named).expanduser(), MODELS_VARIABLE)] if named else []
+    for folder, origin in (*folders, (cache_folder(), "the user cache")):
+        if (folder / HAND_MODEL_NAME).exists():
+            return hand_model_at(folder / HAND_MODEL_NAME, origin)
+    raise ModelError("there is no hand model on this machine: run `m3r models fetch`")

@@ -1,4 +1,4 @@
-"""The voice model that the tests use, where there is one."""
+"""The voice model and the hand model that the tests use, where there are any."""
 
 from __future__ import annotations
 
@@ -8,11 +8,21 @@ from pathlib import Path
 import pytest
 import vosk
 
-from modalities.models import ModelError, VoiceModel, find_model, voice_model_in
+from modalities.models import (
+    HAND_MODEL_NAME,
+    HandModel,
+    ModelError,
+    VoiceModel,
+    find_hand_model,
+    find_model,
+    hand_model_at,
+    voice_model_in,
+)
 from modalities.voice import load_model
 
 ROOT = Path(__file__).resolve().parents[2]
-SHARED_MODEL = ROOT.parent / "shared" / "models" / "vosk-model-small-en-us-zamia-0.5"
+SHARED = ROOT.parent / "shared" / "models"
+SHARED_MODEL = SHARED / "vosk-model-small-en-us-zamia-0.5"
 
 
 def _found() -> VoiceModel | None:
@@ -36,3 +46,14 @@ def voice_model() -> VoiceModel:
 @pytest.fixture(scope="session")
 def loaded(voice_model: VoiceModel) -> vosk.Model:
     return load_model(voice_model.folder)
+
+
+@pytest.fixture(scope="session")
+def hand_model() -> HandModel:
+    """Skips by name where no model is found."""
+    if not os.environ.get("M3R_MODELS") and (SHARED / HAND_MODEL_NAME).is_file():
+        return hand_model_at(SHARED / HAND_MODEL_NAME, "the shared folder")
+    try:
+        return find_hand_model()
+    except ModelError:
+        pytest.skip("no hand model here: run `m3r models fetch` to test gestures")

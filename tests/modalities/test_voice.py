@@ -14,8 +14,9 @@ import pytest
 import vosk
 
 from modalities.audio import AudioError, Chunk, Samples, chunks, quiet, read_audio
-from modalities.evaluate import Answer, EvaluationError, Trial, choose_threshold, evaluate_voice, hear
+from modalities.evaluate import TOLERATED_FALSE_MOVES, evaluate_voice, hear
 from modalities.models import ModelError, VoiceModel
+from modalities.outcomes import Answer, EvaluationError, Trial, choose_threshold
 from modalities.phrases import PhraseTable
 from modalities.script import read_script
 from modalities.voice import CLOSE_AFTER_S, Heard, Hypothesis, Recognizer, confidence_of
@@ -180,13 +181,12 @@ def trial(expected: Command | None, *heard: tuple[Command, float]) -> Trial:
 
 def test_the_chosen_threshold_keeps_out_false_requests_before_it_lets_in_right_ones() -> None:
     clear = [trial(Command.GO_UP, (Command.GO_UP, 0.97)), trial(None)]
-    assert choose_threshold(clear) == 0.7
-    assert choose_threshold([*clear, trial(None, (Command.GO_UP, 0.8))]) == 0.85
-    assert choose_threshold([*clear, trial(Command.GO_UP, (Command.GO_UP, 0.5))]) == 0.5
-    assert choose_threshold([*clear, trial(None, (Command.STOP, 1.0))]) == 0.7
-    assert (
-        choose_threshold([*clear, trial(None, (Command.GO_UP, 0.5)), trial(Command.GO_UP, (Command.GO_UP, 0.5))]) == 0.7
-    )
+    assert choose_threshold(clear, TOLERATED_FALSE_MOVES) == 0.7
+    assert choose_threshold([*clear, trial(None, (Command.GO_UP, 0.8))], TOLERATED_FALSE_MOVES) == 0.85
+    assert choose_threshold([*clear, trial(Command.GO_UP, (Command.GO_UP, 0.5))], TOLERATED_FALSE_MOVES) == 0.5
+    assert choose_threshold([*clear, trial(None, (Command.STOP, 1.0))], TOLERATED_FALSE_MOVES) == 0.7
+    both = [*clear, trial(None, (Command.GO_UP, 0.5)), trial(Command.GO_UP, (Command.GO_UP, 0.5))]
+    assert choose_threshold(both, TOLERATED_FALSE_MOVES) == 0.7
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real recordings here: ../shared/data/speech")
