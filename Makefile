@@ -32,12 +32,12 @@ setup: .venv/stamp-installed
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Not fatal: everything but speech works without a model.
+# Not fatal: everything but speech and hands works without models.
 models: setup
-	@$(BIN)/m3r models fetch || echo "No voice model: speech cannot be recognised until 'make models' succeeds."
+	@$(BIN)/m3r models fetch || echo "A model is missing: speech or hands cannot be recognised until 'make models' succeeds."
 
 demo: setup
-	@if $(BIN)/m3r models fetch; then \
+	@if $(BIN)/m3r models fetch voice; then \
 		$(BIN)/m3r run --audio config/demo/operator.ogg; \
 	else \
 		echo "No voice model can be had, so the same story is flown from scripted buttons."; \

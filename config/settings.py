@@ -106,6 +106,13 @@ class Confidence(Section):
     telemetry_age_s: Annotated[float, Ge(0.1), Le(2)]
 
 
+class Gesture(Section):
+    """How hands are watched. Source: R1, X4."""
+
+    hold_s: Annotated[float, Ge(0.3), Le(2)]
+    mirrored: bool
+
+
 class Uncertainty(Section):
     """What is added to every required distance. Source: X11."""
 
@@ -140,6 +147,7 @@ class Settings(Section):
     operator: OperatorSettings
     pairing: Pairing
     confidence: Confidence
+    gesture: Gesture
     uncertainty: Uncertainty
     decision: DecisionSettings
 
@@ -276,6 +284,8 @@ def allowed(key: str) -> str:
     section, _, name = key.rpartition(".")
     model: Any = Settings.model_fields[section].annotation if section else Settings
     field = model.model_fields[name]
+    if field.annotation is bool:
+        return "true or false"
     words = get_args(field.annotation)
     if words:
         return " or ".join(f'"{word}"' for word in words)

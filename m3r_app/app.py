@@ -21,7 +21,7 @@ from m3r_app.airspace import LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
 from m3r_app.guard import Guard
-from m3r_app.inputs import Inputs, open_inputs
+from m3r_app.inputs import InputError, Inputs, open_inputs
 from m3r_app.modes import State
 from m3r_app.options import RunOptions
 from m3r_app.pairing import PairingLimits, objections
@@ -147,7 +147,10 @@ class _Run:
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
             setting = await _in_thread(lambda: prepare(self.options))
-            inputs = await _in_thread(lambda: open_inputs(self.options, setting.colours, self.clock, self._say_soon))
+            inputs = await _in_thread(
+                lambda: open_inputs(self.options, setting.colours, setting.settings.gesture, self.clock, self._say_soon)
+            )
+            stack.callback(inputs.close)
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
             self._recording = await _in_thread(lambda: self._open_record(setting, inputs))
@@ -179,7 +182,7 @@ class _Run:
             "operator": setting.operator,
             "origin": setting.frame.origin,
             "world": setting.world,
-            "model": inputs.model,
+            "models": list(inputs.models),
         }
         return Recorder(self.options.record, metadata, self._say_soon)
 
@@ -271,12 +274,18 @@ class _Run:
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
             if shell.state.session is None:
                 raise NoPairing
-        await inputs.play(
+        damage = await inputs.play(
             self.clock,
             lambda request: shell.inbox.put(request_event(request)),
             lambda words: self.record("heard", self.clock(), {"modality": "voice", "words": words}),
+            lambda shown: self.record("seen", self.clock(), {"modality": "gesture", "shown": shown}),
         )
-        # What was played last has been put into the inbox; wait until it has been taken out and flown.
+        await self._rest(shell)
+        if damage is not None:
+            raise InputError(damage)
+
+    async def _rest(self, shell: Shell) -> None:
+        """What was played last has been put into the inbox; wait until it has been taken out and flown."""
         held_since_s = math.inf
         while True:
             if shell.inbox.empty and _rests(shell):

@@ -1,4 +1,8 @@
-"""The recorded and scripted inputs of one run: opened before anything flies, played in their own time."""
+"""The inputs of one run, scripted, recorded and live: opened before anything flies, played in their own time.
+
+A recording that is missing or unreadable, and a model that is, is bad input: nothing flies. A live device that is missing or
+breaks is announced, and the rest flies. A live input never ends a run.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,17 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 
+from config.settings import Gesture
 from m3r_app.options import LiveMicrophone, RunOptions
 from modalities.script import ScriptedRequest, read_script
 from safety.vocabulary import ManeuverRequest
 
 T = TypeVar("T")
 Sink = Callable[[ManeuverRequest], None]
+Told = Callable[[str], None]
 Clock = Callable[[], float]
 TAIL_S = 1.0
 """Quiet after a recording, so that its last words end."""
@@ -23,22 +30,49 @@ class InputError(ValueError):
     """An input that broke off while it was being played; one sentence."""
 
 
+class _Stream(Protocol):
+    """A modality in a thread of its own."""
+
+    def start(self) -> None: ...
+    def stop(self) -> bool: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What will be played. sentences: for the operator, before it begins; model: which voice model, for the record."""
+    """What will be played. sentences: for the operator, before it begins; models: which ones, for the record."""
 
     script: tuple[ScriptedRequest, ...] = ()
     voice: Voice | None = None
+    hands: Hands | None = None
     sentences: tuple[str, ...] = ()
-    model: str | None = None
+    models: tuple[str, ...] = ()
 
-    async def play(self, clock: Clock, sink: Sink, heard: Callable[[str], None]) -> None:
-        """Hand every request to `sink` at its time, and partial words to `heard`; returns when all has been played."""
+    async def play(self, clock: Clock, sink: Sink, heard: Told, seen: Told) -> str | None:
+        """Hand every request to `sink` at its time, partial words to `heard` and what hands show to `seen`.
+
+        Returns when all has been played, with a live input never: what was wrong with a video that broke off, if one did. Raises
+        InputError where a voice recording breaks off.
+        """
         began_s = clock()
-        async with asyncio.TaskGroup() as playing:
-            playing.create_task(self._play_script(began_s, clock, sink))
-            if self.voice is not None:
-                playing.create_task(self.voice.play(began_s, clock, sink, heard))
+        try:
+            async with asyncio.TaskGroup() as playing:
+                playing.create_task(self._play_script(began_s, clock, sink))
+                if self.voice is not None:
+                    playing.create_task(self.voice.play(began_s, clock, sink, heard))
+                watching = playing.create_task(self._watch(began_s, clock, sink, seen))
+        except ExceptionGroup as group:
+            raise group.exceptions[0] from group
+        return watching.result()
+
+    def close(self) -> None:
+        """Let the devices go, whether they were played or not; calling it again does nothing. May take seconds."""
+        if self.voice is not None:
+            self.voice.close()
+        if self.hands is not None:
+            self.hands.close()
+
+    async def _watch(self, began_s: float, clock: Clock, sink: Sink, seen: Told) -> str | None:
+        return await self.hands.play(began_s, clock, sink, seen) if self.hands is not None else None
 
     async def _play_script(self, began_s: float, clock: Clock, sink: Sink) -> None:
         for number, scripted in enumerate(self.script, start=1):
@@ -47,9 +81,9 @@ class Inputs:
 
 
 class Voice:
-    """A recording of the operator's voice and what recognises it, loaded and ready."""
+    """The operator's voice, recorded or live, and what recognises it, loaded and ready."""
 
-    def __init__(self, options: RunOptions, colours: tuple[str, ...], clock: Clock, say: Callable[[str], None]) -> None:
+    def __init__(self, source: Path | LiveMicrophone, colours: tuple[str, ...], clock: Clock, say: Told) -> None:
         """say: told, from any thread, what becomes of a microphone. Raises AudioError, ModelError, MicrophoneError."""
         # Heavy, and not needed for scripts alone.
         import numpy as np
@@ -60,17 +94,16 @@ class Voice:
         from modalities.phrases import PhraseTable
         from modalities.voice import Recognizer, load_model
 
-        assert options.audio is not None
         self._say = say
         self._microphone: Microphone | None = None
-        if isinstance(options.audio, LiveMicrophone):
-            self._microphone = Microphone(options.audio.name, clock=clock, say=say)
-            self._microphone.open()
-        else:
-            self._samples = np.concatenate([read_audio(options.audio), quiet(TAIL_S)])
+        if isinstance(source, Path):
+            self._samples = np.concatenate([read_audio(source), quiet(TAIL_S)])
         found = find_model()
         self._recognizer = Recognizer(load_model(found.folder), PhraseTable(colours))
         self.model = found.name
+        if isinstance(source, LiveMicrophone):
+            self._microphone = Microphone(source.name, clock=clock, say=say)
+            self._microphone.open()
         missing = self._recognizer.missing_words
         self.sentences = (
             found.sentence,
@@ -78,18 +111,13 @@ class Voice:
             *([f"the voice model lacks {', '.join(missing)}: phrases with them cannot be heard"] if missing else []),
         )
 
-    async def play(self, began_s: float, clock: Clock, sink: Sink, heard: Callable[[str], None]) -> None:
-        """Listen in a thread of its own until the recording ends. Raises InputError if listening breaks off."""
+    async def play(self, began_s: float, clock: Clock, sink: Sink, heard: Told) -> None:
+        """Listen in a thread of its own: until the recording ends, or for ever. Raises InputError if a recording breaks off."""
         from modalities.audio import chunks
         from modalities.voice_stream import VoiceStream
 
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[Exception | None] = loop.create_future()
-
-        def end(error: Exception | None) -> None:
-            if not ended.done():
-                ended.set_result(error)
-
         microphone = self._microphone
         stream = VoiceStream(
             chunks(self._samples) if microphone is None else microphone.chunks(),
@@ -98,19 +126,125 @@ class Voice:
             began_s=began_s if microphone is None else 0.0,  # live chunks carry the app's own time
             on_request=lambda request: _post(loop, sink, request),
             on_partial=lambda words: _post(loop, heard, words),
-            on_end=lambda error: _post(loop, end, error),
+            on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
         )
-        stream.start()
-        try:
-            error = await ended
-        finally:
-            if microphone is not None:
-                microphone.close()  # first: the stream's thread waits for sound
-            await asyncio.to_thread(stream.stop)
-        if error is not None and microphone is not None:
-            self._say(f"voice is off ({error}): use another way to say stop")
+        # A microphone's thread waits for sound: it is closed first.
+        error = await _played(stream, ended, self.close)
+        if microphone is not None:
+            self._say(f"voice is off ({_reason(error)}): use another way to say stop")
+            await _for_ever()
         elif error is not None:
             raise InputError(f"the voice can no longer be heard ({error}): start again")
+
+    def close(self) -> None:
+        """Let a microphone go."""
+        if self._microphone is not None:
+            self._microphone.close()
+
+
+class Hands:
+    """The operator's hands in a video file or before a camera, and what finds them, loaded and ready."""
+
+    def __init__(self, source: object, settings: Gesture, clock: Clock, say: Told) -> None:
+        """source: a Path or a CameraAddress. say: told, from any thread, what becomes of a camera.
+
+        Raises VideoError for a file that cannot be read, ModelError, and CameraMissing for a camera that gives no picture.
+        """
+        # Heavy, and not needed without hands.
+        from modalities.camera import Camera, CameraAddress
+        from modalities.hands import HandDetector
+        from modalities.models import find_hand_model
+        from modalities.video import VideoError, VideoFile
+
+        self._say = say
+        self._settings = settings
+        self._watched = False
+        self._file = VideoFile(source) if isinstance(source, Path) else None
+        found = find_hand_model()
+        self._detector = HandDetector(found)
+        self._camera: Camera | None = None
+        if isinstance(source, CameraAddress):
+            try:
+                self._camera = Camera(source, clock=clock, say=say)
+            except VideoError as error:
+                self._detector.close()
+                raise CameraMissing(str(error)) from error
+        self.model = found.name
+        name = self._file.path if self._file is not None else self._camera.name if self._camera is not None else source
+        mirrored = ", mirrored" if settings.mirrored else ""
+        self.sentences = (found.sentence, f"watching {name}{mirrored}: hold a gesture for {settings.hold_s:g} s")
+
+    async def play(self, began_s: float, clock: Clock, sink: Sink, seen: Told) -> str | None:
+        """Watch in a thread of its own: until the video ends, or for ever. Returns what was wrong with a video that broke off;
+        that is announced at once, and whatever else is being played goes on.
+        """
+        from modalities.hand_stream import HandStream
+        from modalities.hold import Hold
+        from modalities.video import PlayedFile, VideoSource
+
+        loop = asyncio.get_running_loop()
+        ended: asyncio.Future[Exception | None] = loop.create_future()
+        source: VideoSource
+        if self._file is not None:
+            source = PlayedFile(self._file, clock=clock, began_s=began_s)
+        else:
+            assert self._camera is not None
+            source = self._camera
+        stream = HandStream(
+            source,
+            self._detector,
+            clock=clock,
+            on_request=lambda request: _post(loop, sink, request),
+            on_seen=lambda text: _post(loop, seen, text),
+            on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
+            hold=Hold(self._settings.hold_s),
+            mirrored=self._settings.mirrored,
+        )
+        self._watched = True
+        error = await _played(stream, ended, lambda: None)
+        self._watched = stream.alive
+        if self._camera is not None:
+            self._say(f"hands are off ({_reason(error)}): use another way to say stop")
+            await _for_ever()
+        elif error is not None:
+            self._say(f"hands are off: {error}")
+        return None if error is None else str(error)
+
+    def close(self) -> None:
+        """Let the camera and the detector go; a detector that is being used is left to the thread that uses it."""
+        if self._camera is not None:
+            self._camera.close()
+        if not self._watched:
+            self._detector.close()
+
+
+class CameraMissing(ValueError):  # noqa: N818  (it is announced, the rest flies)
+    """A camera that gives no picture when it is opened; one sentence."""
+
+
+async def _played(
+    stream: _Stream, ended: asyncio.Future[Exception | None], before_stop: Callable[[], None]
+) -> Exception | None:
+    """Start a stream, wait until it has ended, and stop its thread whatever happens. Returns what ended it."""
+    stream.start()
+    try:
+        return await ended
+    finally:
+        before_stop()
+        await asyncio.to_thread(stream.stop)
+
+
+async def _for_ever() -> None:
+    await asyncio.Event().wait()
+
+
+def _reason(error: Exception | None) -> str:
+    return "it ended" if error is None else str(error)
+
+
+def _settle(future: asyncio.Future[T], value: T) -> None:
+    if not future.done():
+        future.set_result(value)
 
 
 def _post(loop: asyncio.AbstractEventLoop, call: Callable[[T], None], value: T) -> None:
@@ -119,15 +253,29 @@ def _post(loop: asyncio.AbstractEventLoop, call: Callable[[T], None], value: T) 
         loop.call_soon_threadsafe(call, value)
 
 
-def open_inputs(options: RunOptions, colours: tuple[str, ...], clock: Clock, say: Callable[[str], None]) -> Inputs:
-    """Read and load everything that is to be played. Raises ScriptError, AudioError, ModelError: one sentence."""
-    script = read_script(options.script, colours) if options.script is not None else ()
-    if options.audio is None:
-        return Inputs(script)
+def open_inputs(options: RunOptions, colours: tuple[str, ...], gesture: Gesture, clock: Clock, say: Told) -> Inputs:
+    """Read and load everything that is to be played. Raises ScriptError, AudioError, VideoError, ModelError: one sentence."""
     from modalities.audio_devices import MicrophoneError
 
-    try:
-        voice = Voice(options, colours, clock, say)
-    except MicrophoneError as error:
-        return Inputs(script, sentences=(f"voice is off: {error}",))
-    return Inputs(script, voice, voice.sentences, voice.model)
+    script = read_script(options.script, colours) if options.script is not None else ()
+    sentences: list[str] = []
+    voice: Voice | None = None
+    hands: Hands | None = None
+    if options.audio is not None:
+        try:
+            voice = Voice(options.audio, colours, clock, say)
+            sentences += voice.sentences
+        except MicrophoneError as error:
+            sentences.append(f"voice is off: {error}")
+    if options.video is not None:
+        try:
+            hands = Hands(options.video, gesture, clock, say)
+            sentences += hands.sentences
+        except CameraMissing as error:
+            sentences.append(f"hands are off: {error}")
+        except Exception:
+            if voice is not None:
+                voice.close()
+            raise
+    models = tuple(one.model for one in (voice, hands) if one is not None)
+    return Inputs(script, voice, hands, tuple(sentences), models)

@@ -13,6 +13,8 @@ from safety.vocabulary import Geodetic
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from modalities.camera import CameraAddress
+
 TAKEOFF_M = (1.0, 120.0)
 TIMEOUT_S = (0.1, 86_400.0)
 ALTITUDE_M = (-500.0, 9000.0)
@@ -38,6 +40,8 @@ class RunOptions:
     """Machine-readable output; without it, output for a person."""
     audio: Path | LiveMicrophone | None = None
     """A recording of the operator, or a microphone."""
+    video: Path | CameraAddress | None = None
+    """A video of the operator, or a camera."""
     script: Path | None = None
     """Timed commands; `STANDARD_INPUT` for standard input."""
     pair: str | None = None
@@ -119,10 +123,17 @@ def parse_audio(text: str) -> Path | LiveMicrophone | None:
     return None if text == "none" else _path(text)
 
 
-def parse_video(text: str) -> None:
-    """Only `none` for now."""
-    if text != "none":
-        raise OptionError(f"{text!r} cannot be watched, as gestures are not built yet: leave --video out, or give none")
+def parse_video(text: str) -> Path | CameraAddress | None:
+    """A video, a camera of this machine (`camera:0`) or of the network (its address); None for none."""
+    if text == "none":
+        return None
+    from modalities.camera import camera_address  # loads OpenCV
+    from modalities.video import VideoError
+
+    try:
+        return camera_address(text) or _path(text)
+    except VideoError as error:
+        raise OptionError(str(error)) from None
 
 
 def parse_file(text: str) -> Path:

@@ -1,4 +1,4 @@
-"""The command line: `m3r run | sim | models | evaluate | modes`. Composes; decides nothing.
+"""The command line: `m3r run | sim | check | models | evaluate | modes`. Composes; decides nothing.
 
 Exit status: 0 ended normally, 1 a fault of ours, 2 bad input, 3 no vehicle or lost, 4 a violation, 130 interrupted.
 Whatever goes wrong is one sentence on standard error; `M3R_DEBUG=1` shows tracebacks.
@@ -149,7 +149,7 @@ def _joined(arguments: list[str]) -> list[str]:
 
 def _parser() -> _Parser:
     parser = _Parser(
-        prog="m3r", description="Ask a drone for small moves by voice or script; only the safe part is flown."
+        prog="m3r", description="Ask a drone for small moves by voice, hands or script; only the safe part is flown."
     )
     parser.add_argument("--version", action="version", version=f"m3r {version('m3r')}")
     parser.set_defaults(parser=parser, run=_run_nothing)
@@ -191,7 +191,12 @@ def _add_run(commands: Any) -> None:
         metavar="mic|mic:NAME|FILE|none",
         help="a microphone, or a recording of the operator",
     )
-    run.add_argument("--video", type=_typed(parse_video), metavar="none", help="no gestures yet")
+    run.add_argument(
+        "--video",
+        type=_typed(parse_video),
+        metavar="camera:N|FILE|URL|none",
+        help="a camera, or a video of the operator's hands",
+    )
     run.add_argument("--script", type=file, metavar="FILE|-", help="timed commands, such as: 2.0 panel go left")
     run.add_argument("--pair", type=_typed(parse_colour), metavar="COLOUR", help="pair with this drone at the start")
     run.add_argument(
@@ -235,13 +240,14 @@ def _add_check(commands: Any) -> None:
 
 
 def _add_models(commands: Any) -> None:
-    models = _add(commands, "models", "list or fetch the voice models", _run_models)
+    models = _add(commands, "models", "list or fetch the models for voice and hands", _run_models)
     models.add_argument("action", choices=("list", "fetch"))
+    models.add_argument("kind", nargs="?", choices=("voice", "hands"), help="only this one")
 
 
 def _add_evaluate(commands: Any) -> None:
     evaluate = _add(commands, "evaluate", "measure recognition on a folder of recordings; prints JSON", _run_evaluate)
-    evaluate.add_argument("what", choices=("voice",))
+    evaluate.add_argument("what", choices=("voice", "hands"))
     evaluate.add_argument("folder", type=Path, metavar="DIR", help="one sub-folder per expected command")
 
 
@@ -254,6 +260,7 @@ def _run_run(options: argparse.Namespace) -> int:
     asked = RunOptions(
         headless=options.headless,
         audio=options.audio,
+        video=options.video,
         script=options.script,
         pair=options.pair,
         vehicles=parse_vehicles(options.vehicle),
@@ -283,7 +290,8 @@ def _run_sim(options: argparse.Namespace) -> int:
 
 
 def _run_check(options: argparse.Namespace) -> int:
-    from ui.check import Wanted, show
+    from ui.check import show
+    from ui.findings import Wanted
 
     if options.audio is not None and not isinstance(options.audio, LiveMicrophone):
         raise OptionError(f"--audio {options.audio}: check listens to a microphone, give mic or mic:NAME")
@@ -294,14 +302,16 @@ def _run_check(options: argparse.Namespace) -> int:
 def _run_models(options: argparse.Namespace) -> int:
     from ui.models import fetch, show_models
 
-    (fetch if options.action == "fetch" else show_models)()
-    return 0
+    missing = (fetch if options.action == "fetch" else show_models)(options.kind)
+    for error in missing:
+        _say(str(error))
+    return BAD_INPUT if missing else 0
 
 
 def _run_evaluate(options: argparse.Namespace) -> int:
     from ui.models import evaluate
 
-    evaluate(options.folder)
+    evaluate(options.what, options.folder)
     return 0
 
 

@@ -4,57 +4,107 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TransferSpeedColumn
 
-from modalities.models import find_model, list_models
+from modalities.models import HandModel, ModelError, VoiceModel, find_hand_model, find_model, list_models
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
+    Model = VoiceModel | HandModel
+    Show = Callable[[int, int | None], None]
+    Say = Callable[[str], None]
 
-def show_models() -> None:
-    """One line per voice model, the one in use first. Raises ModelError if there is none."""
-    find_model()
-    for model in list_models():
-        print(model.sentence)
+VOICE, HANDS = "voice", "hands"
 
 
-def fetch() -> None:
-    """Have a voice model, fetched unless there is one already, and say which. Raises ModelError if none can be had."""
+def show_models(kind: str | None = None) -> list[ModelError]:
+    """One line per model, of each kind the one in use first. kind: only these. Returns what is missing."""
+    missing: list[ModelError] = []
+    for look in _looks(kind):
+        try:
+            for model in look():
+                print(model.sentence)
+        except ModelError as error:
+            missing.append(error)
+    return missing
+
+
+def fetch(kind: str | None = None) -> list[ModelError]:
+    """Have the models, each fetched unless there is one already, and say which. kind: only this one. Returns why one cannot
+    be had.
+    """
+    missing: list[ModelError] = []
+    console = Console(stderr=True)
+    if kind != HANDS:
+        missing += _had(_have_voice_model, console)
+    if kind != VOICE:
+        missing += _had(_have_hand_model, console)
+    return missing
+
+
+def _looks(kind: str | None) -> list[Callable[[], list[VoiceModel] | list[HandModel]]]:
+    looks: dict[str, Callable[[], list[VoiceModel] | list[HandModel]]] = {
+        VOICE: lambda: [find_model(), *list_models()[1:]],
+        HANDS: lambda: [find_hand_model()],
+    }
+    return [look for name, look in looks.items() if kind in {None, name}]
+
+
+def _had(have: Callable[[Show, Say], tuple[Model, bool]], console: Console) -> list[ModelError]:
+    with ExitStack() as stack:
+        progress = Progress(BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=console, transient=True)
+        task = progress.add_task("")
+
+        def show(done_bytes: int, total_bytes: int | None) -> None:
+            if not progress.live.is_started:
+                stack.enter_context(progress)
+            progress.update(task, completed=done_bytes, total=total_bytes)
+
+        try:
+            model, fetched = have(show, lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True))
+        except ModelError as error:
+            return [error]
+    print(model.sentence if fetched else f"{model.sentence} (nothing to fetch)")
+    return []
+
+
+def _have_voice_model(show: Show, say: Say) -> tuple[Model, bool]:
     from modalities.model_sources import fetch_model
 
     present = list_models()
-    if present:
-        print(f"{present[0].sentence} (nothing to fetch)")
-        return
+    return (present[0], False) if present else (fetch_model(progress=show, say=say), True)
+
+
+def _have_hand_model(show: Show, say: Say) -> tuple[Model, bool]:
+    from modalities.hand_model_source import have_hand_model
+
+    return have_hand_model(progress=show, say=say)
+
+
+def evaluate(what: str, folder: Path) -> None:
+    """Recognition of voice or hands on a folder of recordings, as one JSON object on standard output."""
     console = Console(stderr=True)
-    with Progress(BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=console, transient=True) as progress:
-        task = progress.add_task("", start=False, visible=False)
-
-        def show(done_bytes: int, total_bytes: int | None) -> None:
-            progress.start_task(task)
-            progress.update(task, completed=done_bytes, total=total_bytes, visible=True)
-
-        model = fetch_model(
-            progress=show, say=lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
-        )
-    print(model.sentence)
-
-
-def evaluate(folder: Path) -> None:
-    """Recognition on a folder of recordings, as one JSON object on standard output."""
-    from modalities.evaluate import evaluate_voice
-
-    model = find_model()
-    console = Console(stderr=True)
-    console.print(model.sentence, markup=False, highlight=False, soft_wrap=True)
     columns = TextColumn("recordings"), BarColumn(), MofNCompleteColumn()
+    model: Model = find_model() if what == VOICE else find_hand_model()
+    console.print(model.sentence, markup=False, highlight=False, soft_wrap=True)
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("")
-        result = evaluate_voice(
-            folder, model, progress=lambda done, total: progress.update(task, completed=done, total=total)
-        )
+
+        def show(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        if isinstance(model, VoiceModel):
+            from modalities.evaluate import evaluate_voice
+
+            result = evaluate_voice(folder, model, progress=show)
+        else:
+            from modalities.evaluate_hands import evaluate_hands
+
+            result = evaluate_hands(folder, model, progress=show)
     print(json.dumps(result, allow_nan=False, indent=2 if sys.stdout.isatty() else None))

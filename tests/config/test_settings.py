@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 DEFAULT_TEXT = resources.files("config").joinpath("default.toml").read_text(encoding="utf-8")
 DEFAULTS = dict(leaves(tomllib.loads(DEFAULT_TEXT)))
 NUMBERS = [key for key, value in DEFAULTS.items() if isinstance(value, float)]
-WORDS = [key for key in DEFAULTS if key not in NUMBERS]
+SWITCHES = [key for key, value in DEFAULTS.items() if isinstance(value, bool)]
+WORDS = [key for key in DEFAULTS if key not in (*NUMBERS, *SWITCHES)]
 LIMITS = [field.name for field in dataclasses.fields(Limits)]
 
 
@@ -101,6 +102,14 @@ def test_words(key: str) -> None:
         assert getattr(load_settings([], [f'{key} = "{word}"']), key) == word
     assert refusal(f"{key}=sideways").endswith(f"but must be {allowed(key)}")
     assert refusal(f"{key}=1").endswith(f"but must be {allowed(key)}")
+
+
+@pytest.mark.parametrize("key", SWITCHES)
+def test_switches(key: str) -> None:
+    for word, value in (("true", True), ("false", False)):
+        assert dict(leaves(load_settings([], [f"{key}={word}"]).model_dump()))[key] is value
+    for word in ("1", "0.0", "yes", '"true"', "[]"):
+        assert refusal(f"{key}={word}").endswith("but must be true or false")
 
 
 @pytest.mark.parametrize(

@@ -135,13 +135,14 @@ def test_places_at_the_bounds(asked: Any, place: str) -> None:
         ("run --vehicle =udpin://0.0.0.0:1", "is not a colour"),
         ("run --vehicle red=udpin://0.0.0.0:1 red=udpin://0.0.0.0:2", "names red twice"),
         ("run --vehicle red=udpin://0.0.0.0:1 blue=udpin://0.0.0.0:1", "to two drones"),
-        ("run --video camera:0", "leave --video out"),
+        ("run --video camera:x", "camera:x is not a camera"),
         ("run --audio mic:", "lacks the microphone's name"),
         ("check --audio x.wav", "check listens to a microphone"),
         ("check --vehicle red", "is not COLOUR=MAVLINK-URL"),
         ("models", "required"),
         ("models get", "no m3r models get"),
-        ("evaluate hands x", "no m3r evaluate hands"),
+        ("models list hand", "no m3r models hand; did you mean hands?"),
+        ("evaluate feet x", "no m3r evaluate feet"),
     ],
 )
 def test_a_wrong_option_is_one_sentence(capsys: pytest.CaptureFixture[str], words: str, said: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from typing import TYPE_CHECKING
 
 import pytest
@@ -32,7 +33,7 @@ def model(no_model: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Pa
     return folder
 
 
-@pytest.mark.parametrize("words", [["models", "list"], ["evaluate", "voice", "somewhere"]])
+@pytest.mark.parametrize("words", [["models", "list", "voice"], ["evaluate", "voice", "somewhere"]])
 @pytest.mark.usefixtures("no_model")
 def test_no_model_is_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
     assert cli.main(words) == 2
@@ -45,11 +46,42 @@ def test_no_model_is_one_sentence(capsys: pytest.CaptureFixture[str], words: lis
 def test_a_model_that_is_there_is_named(
     model: Path, capsys: pytest.CaptureFixture[str], action: str, ending: str
 ) -> None:
-    assert cli.main(["models", action]) == 0
+    assert cli.main(["models", action, "voice"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith(f"voice model {model.name} ")
     assert out.endswith(f", in {model}{ending}\n")
     assert err == ""
+
+
+@pytest.mark.parametrize("words", [["models", "list", "hands"], ["evaluate", "hands", "somewhere"]])
+@pytest.mark.usefixtures("no_model")
+def test_no_hand_model_is_one_sentence(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    assert cli.main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "m3r: there is no hand model on this machine: run `m3r models fetch`\n"
+
+
+def test_what_is_there_is_listed_beside_what_is_missing(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["models", "list"]) == 2
+    out, err = capsys.readouterr()
+    assert out.startswith(f"voice model {model.name} ")
+    assert err == "m3r: there is no hand model on this machine: run `m3r models fetch`\n"
+
+
+def test_a_hand_model_that_is_there_is_named(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = model.parent / voice_models.HAND_MODEL_NAME
+    with zipfile.ZipFile(path, "w") as bundle:
+        for part in voice_models._HAND_PARTS:
+            bundle.writestr(part, b"x")
+    for action in ("list", "fetch"):
+        assert cli.main(["models", action]) == 0
+        out, err = capsys.readouterr()
+        assert [line.split()[:2] for line in out.splitlines()] == [["voice", "model"], ["hand", "model"]]
+        assert err == ""
+    path.write_bytes(path.read_bytes()[:-30])
+    assert cli.main(["models", "list", "hands"]) == 2
+    assert f"{path} is truncated" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("action", ["list", "fetch"])
@@ -58,7 +90,7 @@ def test_a_wrong_models_folder_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, action: str
 ) -> None:
     monkeypatch.setenv("M3R_MODELS", str(tmp_path))
-    assert cli.main(["models", action]) == 2
+    assert cli.main(["models", action, "voice"]) == 2
     assert capsys.readouterr().err.startswith(f"m3r: M3R_MODELS names {tmp_path}, which holds no voice model")
 
 

@@ -1,0 +1,104 @@
+"""Hands fly the simulated drone through the whole app: real MediaPipe, real MAVSDK, real UDP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from modalities.models import ModelError, find_hand_model
+from modalities.video import VideoFile
+from tests.whole import PLAIN, App, m3r
+
+DRAWN = Path(__file__).resolve().parents[1] / "videos" / "all_nine.mp4"
+RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60")
+
+
+@pytest.fixture(autouse=True)
+def _model() -> None:
+    try:
+        find_hand_model()
+    except ModelError as error:
+        pytest.skip(f"no hand model: {error}")
+
+
+def cut(path: Path, *parts: tuple[float, float]) -> Path:
+    """These seconds of the project's own video, one after the other."""
+    video = VideoFile(DRAWN)
+    frames = list(video.frames())
+    height_px, width_px = frames[0].picture.shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), video.rate_hz, (width_px, height_px))
+    for from_s, to_s in parts:
+        for frame in frames:
+            if from_s <= frame.captured_at_s < to_s:
+                writer.write(frame.picture)
+    writer.release()
+    return path
+
+
+def test_hands_fly_the_drone(tmp_path: Path) -> None:
+    """A fist asks for nothing, the index finger to the left moves, an open palm stops in mid-move."""
+    video = cut(tmp_path / "hands.mp4", (2.4, 3.4), (5.2, 6.8), (21.2, 23.2))
+    ran = m3r(*RUN, "--video", str(video), "--audio", "none")
+    assert ran.status == 0, ran.told
+    requests = ran.of("request")
+    assert [(r["command"], r["modality"]) for r in requests] == [("go_left", "gesture"), ("stop", "gesture")]
+    assert requests[0]["evidence"] == "index finger left, held 0.5 s"
+    assert all(0.0 <= r["latency_ms"] < 1000.0 for r in requests)
+    assert ran.verdicts() == {"hand-1": "approved"}
+    assert [(m["request"], m["status"]) for m in ran.of("motion")] == [("hand-1", "started"), ("hand-1", "aborted")]
+    assert ran.events[-1]["reason"] == "inputs_played"
+    assert ran.events[-1]["violations"] == 0
+
+
+def test_a_mirrored_video_means_the_other_side_and_a_longer_hold_is_asked_for(tmp_path: Path) -> None:
+    video = cut(tmp_path / "hands.mp4", (5.2, 7.4), (21.2, 23.2))
+    ran = m3r(*RUN, "--video", str(video), "--set", "gesture.mirrored=true", "gesture.hold_s=0.6")
+    assert ran.status == 0, ran.told
+    assert [r["command"] for r in ran.of("request")] == ["go_right", "stop"]
+    assert ran.of("request")[0]["evidence"] == "index finger right, held 0.6 s"
+
+
+def test_a_video_that_breaks_off_is_told_and_the_rest_flies(tmp_path: Path) -> None:
+    """Half of a file: hands are off, the script's move is completed, and the file was bad input all the same."""
+    whole = cut(tmp_path / "whole.avi", (5.2, 5.9))
+    broken = tmp_path / "broken.avi"
+    data = whole.read_bytes()
+    broken.write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match="damaged"):
+        list(VideoFile(broken).frames())
+    ran = m3r(*RUN, "--video", str(broken), "--script", "-", stdin="1.5 panel go left\n")
+    assert ran.status == 2
+    assert any(a["text"].startswith(f"hands are off: video file {broken} is damaged") for a in ran.of("announce"))
+    assert [r["modality"] for r in ran.of("request")] == ["panel"]
+    assert ran.of("motion", status="completed")
+    assert ran.told.count("m3r: video file") == 1
+
+
+def test_without_the_camera_and_the_microphone_the_rest_flies() -> None:
+    arguments = ("--video", "camera:99", "--audio", "mic:nobody", "--script", "-")
+    ran = m3r(*RUN, *arguments, stdin="0.5 panel go left\n")
+    assert ran.status == 0, ran.told
+    texts = [a["text"] for a in ran.of("announce")]
+    assert "hands are off: camera:99 gives no picture: check that it is there and that nothing else uses it" in texts
+    assert any(text.startswith("voice is off: there is no ") for text in texts)
+    assert ran.of("motion", status="completed")
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "no model"])
+def test_what_cannot_be_watched_is_exit_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    video = tmp_path / "hands.mp4"
+    named = str(video)
+    if kind == "text":
+        video.write_text("no video at all\n" * 100)
+    elif kind == "no model":
+        video, named = DRAWN, "there is no hand model"
+        monkeypatch.setenv("M3R_MODELS", str(tmp_path))
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    app = App([*RUN, "--video", str(video)])
+    ran = app.finish()
+    assert ran.status == 2
+    sentences = [line for line in ran.told.splitlines() if line.startswith("m3r: ")]
+    assert len(sentences) == 1, ran.told
+    assert named in sentences[0]
