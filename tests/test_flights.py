@@ -1,6 +1,6 @@
 """No hard constraint is ever violated in seeded random flights, and each of them is what prevents it (R3-R11, X1, X2, X11).
 
-`make test` flies a stated sample of 24; `M3R_SOAK=1` the full 2,000.
+`make test` flies a stated sample of 16; `M3R_SOAK=1` the full 2,000.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from safety.vocabulary import Command, Ned, ReservedVolume
 from tests.flights import DT_S, ORIGIN_AMSL_M, Aircraft, Flight, Outcome, without
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
-FLIGHTS = 2000 if SOAK else 24
+FLIGHTS = 2000 if SOAK else 16
 GONE = 300.0
 T = TypeVar("T")
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import cv2
 import pytest
 
+from config.settings import load_settings
+from m3r_app.inputs import Hands
 from modalities.models import ModelError, find_hand_model
 from modalities.video import VideoFile
-from tests.whole import PLAIN, App, m3r
+from safety.vocabulary import Command, ManeuverRequest
+from tests.whole import PLAIN, m3r
 
 DRAWN = Path(__file__).resolve().parents[1] / "videos" / "all_nine.mp4"
 RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60")
@@ -52,12 +56,20 @@ def test_hands_fly_the_drone(tmp_path: Path) -> None:
     assert ran.events[-1]["violations"] == 0
 
 
-def test_a_mirrored_video_means_the_other_side_and_a_longer_hold_is_asked_for(tmp_path: Path) -> None:
-    video = cut(tmp_path / "hands.mp4", (5.2, 7.4), (21.2, 23.2))
-    ran = m3r(*RUN, "--video", str(video), "--set", "gesture.mirrored=true", "gesture.hold_s=0.6")
-    assert ran.status == 0, ran.told
-    assert [r["command"] for r in ran.of("request")] == ["go_right", "stop"]
-    assert ran.of("request")[0]["evidence"] == "index finger right, held 0.6 s"
+async def test_the_settings_of_gestures_reach_the_hands(tmp_path: Path) -> None:
+    """A mirrored video means the other side, and a longer hold is asked for."""
+    video = cut(tmp_path / "hands.mp4", (5.2, 7.4))
+    gesture = load_settings([], ["gesture.mirrored=true", "gesture.hold_s=0.6"]).gesture
+    requests: list[ManeuverRequest] = []
+    seen: list[str] = []
+    hands = Hands(video, gesture, time.monotonic, lambda _sentence: None)
+    assert hands.sentences[1] == f"watching {video}, mirrored: hold a gesture for 0.6 s"
+    try:
+        assert await hands.play(time.monotonic(), time.monotonic, requests.append, seen.append) is None
+    finally:
+        hands.close()
+    assert [(r.command, r.evidence) for r in requests] == [(Command.GO_RIGHT, "index finger right, held 0.6 s")]
+    assert "index finger right" in seen
 
 
 def test_a_video_that_breaks_off_is_told_and_the_rest_flies(tmp_path: Path) -> None:
@@ -96,8 +108,7 @@ def test_what_cannot_be_watched_is_exit_2(tmp_path: Path, monkeypatch: pytest.Mo
         video, named = DRAWN, "there is no hand model"
         monkeypatch.setenv("M3R_MODELS", str(tmp_path))
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    app = App([*RUN, "--video", str(video)])
-    ran = app.finish()
+    ran = m3r(*RUN, "--video", str(video))
     assert ran.status == 2
     sentences = [line for line in ran.told.splitlines() if line.startswith("m3r: ")]
     assert len(sentences) == 1, ran.told
