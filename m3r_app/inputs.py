@@ -34,7 +34,7 @@ class _Stream(Protocol):
     """A modality in a thread of its own."""
 
     def start(self) -> None: ...
-    def stop(self) -> bool: ...
+    def stop(self, timeout_s: float = ...) -> bool: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +95,7 @@ class Voice:
         from modalities.voice import Recognizer, load_model
 
         self._say = say
+        self._stream: _Stream | None = None
         self._microphone: Microphone | None = None
         if isinstance(source, Path):
             self._samples = np.concatenate([read_audio(source), quiet(TAIL_S)])
@@ -119,7 +120,7 @@ class Voice:
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[Exception | None] = loop.create_future()
         microphone = self._microphone
-        stream = VoiceStream(
+        self._stream = VoiceStream(
             chunks(self._samples) if microphone is None else microphone.chunks(),
             self._recognizer,
             clock=clock,
@@ -128,8 +129,7 @@ class Voice:
             on_partial=lambda words: _post(loop, heard, words),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
         )
-        # A microphone's thread waits for sound: it is closed first.
-        error = await _played(stream, ended, self.close)
+        error = await _played(self._stream, ended)
         if microphone is not None:
             self._say(f"voice is off ({_reason(error)}): use another way to say stop")
             await _for_ever()
@@ -137,9 +137,11 @@ class Voice:
             raise InputError(f"the voice can no longer be heard ({error}): start again")
 
     def close(self) -> None:
-        """Let a microphone go."""
+        """Let a microphone go and wait for the thread that listens."""
         if self._microphone is not None:
-            self._microphone.close()
+            self._microphone.close()  # first: the thread waits for sound
+        if self._stream is not None:
+            self._stream.stop()
 
 
 class Hands:
@@ -158,7 +160,7 @@ class Hands:
 
         self._say = say
         self._settings = settings
-        self._watched = False
+        self._stream: _Stream | None = None
         self._file = VideoFile(source) if isinstance(source, Path) else None
         found = find_hand_model()
         self._detector = HandDetector(found)
@@ -190,7 +192,7 @@ class Hands:
         else:
             assert self._camera is not None
             source = self._camera
-        stream = HandStream(
+        self._stream = HandStream(
             source,
             self._detector,
             clock=clock,
@@ -200,9 +202,7 @@ class Hands:
             hold=Hold(self._settings.hold_s),
             mirrored=self._settings.mirrored,
         )
-        self._watched = True
-        error = await _played(stream, ended, lambda: None)
-        self._watched = stream.alive
+        error = await _played(self._stream, ended)
         if self._camera is not None:
             self._say(f"hands are off ({_reason(error)}): use another way to say stop")
             await _for_ever()
@@ -211,10 +211,10 @@ class Hands:
         return None if error is None else str(error)
 
     def close(self) -> None:
-        """Let the camera and the detector go; a detector that is being used is left to the thread that uses it."""
+        """Let the camera and the detector go; a detector that is still being used is left to the thread that uses it."""
         if self._camera is not None:
             self._camera.close()
-        if not self._watched:
+        if self._stream is None or self._stream.stop():
             self._detector.close()
 
 
@@ -222,16 +222,13 @@ class CameraMissing(ValueError):  # noqa: N818  (it is announced, the rest flies
     """A camera that gives no picture when it is opened; one sentence."""
 
 
-async def _played(
-    stream: _Stream, ended: asyncio.Future[Exception | None], before_stop: Callable[[], None]
-) -> Exception | None:
-    """Start a stream, wait until it has ended, and stop its thread whatever happens. Returns what ended it."""
+async def _played(stream: _Stream, ended: asyncio.Future[Exception | None]) -> Exception | None:
+    """Start a stream and wait until it has ended. Returns what ended it."""
     stream.start()
     try:
         return await ended
     finally:
-        before_stop()
-        await asyncio.to_thread(stream.stop)
+        stream.stop(0.0)  # waiting for a stuck device is for `close`, after the drone has been put in Hold
 
 
 async def _for_ever() -> None:

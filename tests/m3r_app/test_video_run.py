@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 import time
+from collections.abc import Generator
 from pathlib import Path
 
 import cv2
@@ -11,7 +14,7 @@ import pytest
 from config.settings import load_settings
 from m3r_app.inputs import Hands
 from modalities.models import ModelError, find_hand_model
-from modalities.video import VideoFile
+from modalities.video import Frame, VideoFile
 from safety.vocabulary import Command, ManeuverRequest
 from tests.whole import PLAIN, m3r
 
@@ -70,6 +73,73 @@ async def test_the_settings_of_gestures_reach_the_hands(tmp_path: Path) -> None:
         hands.close()
     assert [(r.command, r.evidence) for r in requests] == [(Command.GO_RIGHT, "index finger right, held 0.6 s")]
     assert "index finger right" in seen
+
+
+async def test_a_stuck_camera_does_not_keep_the_end_of_a_run_waiting() -> None:
+    """X7: whoever ends the run puts the drone in Hold next."""
+
+    class Stuck:
+        dropped = 0
+        name = "stuck"
+        opened = threading.Event()
+        freed = threading.Event()
+
+        def frames(self, _stopping: threading.Event) -> Generator[Frame]:
+            self.opened.set()
+            self.freed.wait()
+            yield from ()
+
+        def close(self) -> None:
+            self.freed.set()
+
+    said: list[str] = []
+    hands = Hands(DRAWN, load_settings().gesture, time.monotonic, said.append)
+    stuck = Stuck()
+    hands._file, hands._camera = None, stuck  # type: ignore[assignment]
+    playing = asyncio.create_task(
+        hands.play(time.monotonic(), time.monotonic, lambda _request: None, lambda _shown: None)
+    )
+    assert await asyncio.to_thread(stuck.opened.wait, 10.0)
+    began_s = time.monotonic()
+    playing.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await playing
+    assert time.monotonic() - began_s < 0.5
+    assert not stuck.freed.is_set()
+    hands.close()
+    assert stuck.freed.is_set()
+    assert said == []
+
+
+async def test_a_live_stream_that_breaks_is_told_and_ends_nothing() -> None:
+    class Broken:
+        dropped = 0
+        name = "broken"
+
+        def frames(self, _stopping: threading.Event) -> Generator[Frame]:
+            raise OSError("out of memory")
+            yield  # a generator, as a camera's frames are
+
+        def close(self) -> None: ...
+
+    told = asyncio.Event()
+    said: list[str] = []
+
+    def say(sentence: str) -> None:
+        said.append(sentence)
+        told.set()
+
+    hands = Hands(DRAWN, load_settings().gesture, time.monotonic, say)
+    hands._file, hands._camera = None, Broken()  # type: ignore[assignment]
+    playing = asyncio.create_task(
+        hands.play(time.monotonic(), time.monotonic, lambda _request: None, lambda _shown: None)
+    )
+    await asyncio.wait_for(told.wait(), 10.0)
+    assert said == ["hands are off (out of memory): use another way to say stop"]
+    assert not playing.done()
+    playing.cancel()
+    await asyncio.wait({playing})
+    hands.close()
 
 
 def test_a_video_that_breaks_off_is_told_and_the_rest_flies(tmp_path: Path) -> None:
