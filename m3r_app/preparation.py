@@ -8,7 +8,7 @@ from config.settings import Settings, load_settings
 from m3r_app.options import OptionError, RunOptions
 from m3r_app.ports import check_link
 from m3r_app.scenario import SHIPPED, Scenario, load_scenario
-from m3r_app.world import load_geofence, load_obstacles, load_terrain
+from m3r_app.world import load_world
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.obstacles import Obstacles
@@ -56,16 +56,7 @@ def prepare(options: RunOptions) -> Setting:
 
 def _world(settings: Settings, scenario: Scenario | None, frame: LocalFrame) -> World:
     amsl_m = frame.origin.amsl_m
-    terrain: Terrain | None = None
-    if settings.terrain == "flat":
-        terrain = Terrain.flat(amsl_m, FLAT_SIGMA_M, amsl_m)
-    elif scenario is not None:
-        terrain = load_terrain(scenario, frame)
+    flat = Terrain.flat(amsl_m, FLAT_SIGMA_M, amsl_m) if settings.terrain == "flat" else None
     if scenario is None:
-        return World(terrain, Obstacles.none(amsl_m), None)
-    obstacles, fence = scenario.obstacles, scenario.geofence
-    return World(
-        terrain,
-        load_obstacles(scenario.file(obstacles.file), frame) if obstacles is not None else Obstacles.none(amsl_m),
-        load_geofence(scenario.file(fence.file), fence, frame) if fence is not None else None,
-    )
+        return World(flat, Obstacles.none(amsl_m), None)
+    return load_world(scenario, frame, flat)

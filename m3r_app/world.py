@@ -36,15 +36,15 @@ class WorldError(ValueError):
     """A terrain, obstacle or geofence file that cannot be used; one sentence that names the file and the reason."""
 
 
-def load_world(scenario: Scenario, frame: LocalFrame) -> World:
-    """The scenario's terrain, obstacles and geofence in the session's frame. Raises WorldError."""
+def load_world(scenario: Scenario, frame: LocalFrame, terrain: Terrain | None = None) -> World:
+    """The scenario's terrain (unless another is given), obstacles and geofence in the session's frame. Raises WorldError."""
     obstacles = Obstacles.none(frame.origin.amsl_m)
     if scenario.obstacles is not None:
         obstacles = load_obstacles(scenario.file(scenario.obstacles.file), frame)
     fence = None
     if scenario.geofence is not None:
         fence = load_geofence(scenario.file(scenario.geofence.file), scenario.geofence, frame)
-    return World(load_terrain(scenario, frame), obstacles, fence)
+    return World(load_terrain(scenario, frame) if terrain is None else terrain, obstacles, fence)
 
 
 def load_terrain(scenario: Scenario, frame: LocalFrame) -> Terrain:
