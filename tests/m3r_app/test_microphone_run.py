@@ -11,7 +11,7 @@ import pytest
 from modalities.audio import quiet, read_audio
 from modalities.models import ModelError, find_model
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
-from tests.whole import PLAIN, App, m3r
+from tests.whole import PLAIN, App
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60")
@@ -60,12 +60,3 @@ def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
     ]  # fmt: skip
     assert all(0.0 <= r["latency_ms"] < 1500.0 for r in ran.of("request"))
     assert ran.events[-1]["violations"] == 0
-
-
-def test_without_the_microphone_the_rest_flies(server: SoundServer) -> None:
-    ran = m3r(*RUN, "--audio", "mic:nobody", "--script", "-", stdin="0.5 panel go left\n")
-    assert ran.status == 0
-    assert ran.of(
-        "announce", text=f"voice is off: there is no microphone 'nobody': there are {MICROPHONE}, pulse, default"
-    )
-    assert ran.of("motion", status="completed")
