@@ -14,7 +14,7 @@ if SHARED_MODELS.is_dir():
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 
-settings.register_profile("sample", deadline=None, max_examples=100)
+settings.register_profile("sample", deadline=None, max_examples=50)
 settings.register_profile("soak", deadline=None, max_examples=5000)
 settings.load_profile("soak" if SOAK else "sample")
 
