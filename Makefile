@@ -1,5 +1,5 @@
 # The front door. Needs python3 (3.11 or newer) and make; everything else is set up here, in .venv.
-#   make demo    set up, fetch a voice model, fly the demonstration on the simulated fleet
+#   make demo    set up, fetch the models, fly the demonstration on the simulated fleet
 #   make test    set up, pass the tests         make soak    the long counts
 #   make check   style, types, floors           make bench   the figures, beside what they are compared with
 #   make lock    renew requirements.lock
@@ -36,11 +36,12 @@ setup: .venv/stamp-installed
 models: setup
 	@$(BIN)/m3r models fetch || echo "A model is missing: speech or hands cannot be recognised until 'make models' succeeds."
 
+# With a model missing, the same story is flown from scripted buttons in its place.
 demo: setup
-	@if $(BIN)/m3r models fetch voice; then \
-		$(BIN)/m3r run --audio config/demo/operator.ogg; \
+	@if $(BIN)/m3r models fetch; then \
+		$(BIN)/m3r run --audio config/demo/operator.ogg --video config/demo/operator.mp4; \
 	else \
-		echo "No voice model can be had, so the same story is flown from scripted buttons."; \
+		echo "A model cannot be had, so the same story is flown from a script, without recognition."; \
 		$(BIN)/m3r run --script config/demo/operator.script; \
 	fi
 

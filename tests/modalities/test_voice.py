@@ -286,7 +286,7 @@ def test_an_error_in_the_stream_is_told(loaded: vosk.Model) -> None:
 
 
 def test_the_demonstration_is_heard_as_its_script_says(loaded: vosk.Model) -> None:
-    story = read_script(DEMO / "operator.script", TABLE.colours)
+    story = [r for r in read_script(DEMO / "operator.script", TABLE.colours) if r.modality is Modality.VOICE]
     heard = heard_in(read_audio(DEMO / "operator.ogg"), loaded)
     sure = [one for one in heard if one.confidence >= THRESHOLD or one.command is Command.STOP]
     assert [(one.command, one.colour) for one in sure] == [(one.command, one.colour) for one in story]
