@@ -106,6 +106,12 @@ class Confidence(Section):
     telemetry_age_s: Annotated[float, Ge(0.1), Le(2)]
 
 
+class VoiceSettings(Section):
+    """How the operator is listened to. Source: R1, X4."""
+
+    push_to_talk: bool
+
+
 class Gesture(Section):
     """How hands are watched. Source: R1, X4."""
 
@@ -147,6 +153,7 @@ class Settings(Section):
     operator: OperatorSettings
     pairing: Pairing
     confidence: Confidence
+    voice: VoiceSettings
     gesture: Gesture
     uncertainty: Uncertainty
     decision: DecisionSettings

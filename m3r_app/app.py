@@ -148,7 +148,7 @@ class _Run:
         async with AsyncExitStack() as stack:
             setting = await _in_thread(lambda: prepare(self.options))
             inputs = await _in_thread(
-                lambda: open_inputs(self.options, setting.colours, setting.settings.gesture, self.clock, self._say_soon)
+                lambda: open_inputs(self.options, setting.colours, setting.settings, self.clock, self._say_soon)
             )
             stack.callback(inputs.close)
             for sentence in inputs.sentences:

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from config.settings import Gesture
-from m3r_app.options import LiveMicrophone, RunOptions
+from config.settings import Gesture, Settings
+from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
+from modalities.push_to_talk import PushToTalk
 from modalities.script import ScriptedRequest, read_script
 from safety.vocabulary import ManeuverRequest
 
@@ -83,8 +85,17 @@ class Inputs:
 class Voice:
     """The operator's voice, recorded or live, and what recognises it, loaded and ready."""
 
-    def __init__(self, source: Path | LiveMicrophone, colours: tuple[str, ...], clock: Clock, say: Told) -> None:
-        """say: told, from any thread, what becomes of a microphone. Raises AudioError, ModelError, MicrophoneError."""
+    def __init__(
+        self,
+        source: Path | LiveMicrophone,
+        colours: tuple[str, ...],
+        clock: Clock,
+        say: Told,
+        talking: Callable[[], bool] | None = None,
+    ) -> None:
+        """say: told, from any thread, what becomes of a microphone; talking: push-to-talk, None for a microphone that is
+        always open. Raises AudioError, ModelError, MicrophoneError.
+        """
         # Heavy, and not needed for scripts alone.
         import numpy as np
 
@@ -103,7 +114,7 @@ class Voice:
         self._recognizer = Recognizer(load_model(found.folder), PhraseTable(colours))
         self.model = found.name
         if isinstance(source, LiveMicrophone):
-            self._microphone = Microphone(source.name, clock=clock, say=say)
+            self._microphone = Microphone(source.name, clock=clock, say=say, talking=talking)
             self._microphone.open()
         missing = self._recognizer.missing_words
         self.sentences = (
@@ -250,7 +261,17 @@ def _post(loop: asyncio.AbstractEventLoop, call: Callable[[T], None], value: T) 
         loop.call_soon_threadsafe(call, value)
 
 
-def open_inputs(options: RunOptions, colours: tuple[str, ...], gesture: Gesture, clock: Clock, say: Told) -> Inputs:
+def _key(talk: PushToTalk, options: RunOptions) -> str:
+    """Give push-to-talk its key, where there is a keyboard. Returns what to tell the operator."""
+    if sys.stdin is None or not sys.stdin.isatty() or options.script == STANDARD_INPUT:
+        return "push-to-talk has no key, since standard input is no terminal: the microphone stays closed"
+    talk.follow(sys.stdin.fileno())
+    return (
+        "push-to-talk: press Enter to speak and Enter again when you have spoken; until then a spoken stop is not heard"
+    )
+
+
+def open_inputs(options: RunOptions, colours: tuple[str, ...], settings: Settings, clock: Clock, say: Told) -> Inputs:
     """Read and load everything that is to be played. Raises ScriptError, AudioError, VideoError, ModelError: one sentence."""
     from modalities.audio_devices import MicrophoneError
 
@@ -260,13 +281,18 @@ def open_inputs(options: RunOptions, colours: tuple[str, ...], gesture: Gesture,
     hands: Hands | None = None
     if options.audio is not None:
         try:
-            voice = Voice(options.audio, colours, clock, say)
+            talk = (
+                PushToTalk(say) if settings.voice.push_to_talk and isinstance(options.audio, LiveMicrophone) else None
+            )
+            voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None)
             sentences += voice.sentences
+            if talk is not None:
+                sentences.append(_key(talk, options))
         except MicrophoneError as error:
             sentences.append(f"voice is off: {error}")
     if options.video is not None:
         try:
-            hands = Hands(options.video, gesture, clock, say)
+            hands = Hands(options.video, settings.gesture, clock, say)
             sentences += hands.sentences
         except CameraMissing as error:
             sentences.append(f"hands are off: {error}")

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from modalities.models import ModelError, find_model
 from ui.check_devices import cameras, microphones
+from ui.check_mirror import mirror
 from ui.findings import Finding, State, Wanted, module, parts_of, shown, silence
 
 if TYPE_CHECKING:
@@ -182,6 +183,7 @@ PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("hand model", _hand_model),
     ("microphone", microphones),
     ("camera", cameras),
+    ("mirror test", mirror),
     ("UDP ports", _ports),
     ("vehicle", _vehicles),
 )

@@ -80,10 +80,12 @@ def _listened(name: str | None) -> Finding:
     return Finding("microphone", State.WORKS, text)
 
 
-def cameras(_wanted: Wanted) -> Iterator[Finding]:
+def cameras(wanted: Wanted) -> Iterator[Finding]:
     camera = module("modalities.camera")
-    numbers = _camera_numbers()
-    if camera is None:
+    numbers = camera_numbers()
+    if camera is not None and wanted.camera is not None:
+        yield _watched(camera, wanted.camera)
+    elif camera is None:
         yield Finding("camera", State.NOT_BUILT, f"this M3R does not watch cameras ({len(numbers)} here)")
     elif not numbers:
         yield Finding(
@@ -93,45 +95,46 @@ def cameras(_wanted: Wanted) -> Iterator[Finding]:
             "plug a camera in, or watch one in the network: --video rtsp://…",
         )
     else:
-        looked = [finding for number in numbers for finding in _watched(camera, number)]
+        looked = [_permitted(camera, number) for number in numbers]
         # A camera has more than one device file, and only one of them gives pictures.
         yield from [finding for finding in looked if finding.state is not State.MISSING] or looked
 
 
-def _camera_numbers() -> list[int]:
+def camera_numbers() -> list[int]:
     return sorted(int(path.name[5:]) for path in Path("/dev").glob("video*") if path.name[5:].isdecimal())
 
 
-def _watched(camera: ModuleType, number: int) -> Iterator[Finding]:
-    """One camera, opened as a run opens it and watched for WATCH_S."""
+def _permitted(camera: ModuleType, number: int) -> Finding:
+    """A camera of this machine, if it may be opened."""
     name = f"camera:{number}"
     if not os.access(f"/dev/video{number}", os.R_OK | os.W_OK):
-        yield Finding(name, State.MISSING, f"/dev/video{number} may not be opened", "add yourself to the group video")
-        return
+        return Finding(name, State.MISSING, f"/dev/video{number} may not be opened", "add yourself to the group video")
+    return _watched(camera, camera.camera_address(name), name)
+
+
+def _watched(camera: ModuleType, address: Any, name: str = "camera") -> Finding:
+    """One camera, opened as a run opens it and watched for WATCH_S."""
     video_error: type[Exception] = camera.VideoError
     stopping = threading.Event()
     times_s: list[float] = []
     giving_up = threading.Timer(WATCH_S + CAMERA_TIMEOUT_S, stopping.set)
     try:
         with silence():
-            source: Any = camera.Camera(camera.camera_address(name), clock=time.monotonic)
+            source: Any = camera.Camera(address, clock=time.monotonic)
             giving_up.start()
             for frame in source.frames(stopping):
                 times_s.append(frame.captured_at_s)
                 if times_s[-1] - times_s[0] >= WATCH_S:
                     stopping.set()
     except video_error as error:
-        yield Finding(name, State.MISSING, *parts_of(str(error)))
-        return
+        return Finding(name, State.MISSING, *parts_of(str(error)))
     finally:
         giving_up.cancel()
     span_s = times_s[-1] - times_s[0] if times_s else 0.0
     if span_s < WATCH_S / 2:
-        yield Finding(name, State.MISSING, "it opens but gives no moving picture", "uncover it, or plug it in again")
-        return
+        return Finding(name, State.MISSING, "it opens but gives no moving picture", "uncover it, or plug it in again")
     rate_hz = (len(times_s) - 1) / span_s
     if rate_hz < SLOWEST_CAMERA_HZ:
         remedy = "give it more light, or a port of its own: few pictures make gestures slow"
-        yield Finding(name, State.WEAK, f"{rate_hz:.0f} pictures a second", remedy)
-    else:
-        yield Finding(name, State.WORKS, f"{rate_hz:.0f} pictures a second")
+        return Finding(name, State.WEAK, f"{rate_hz:.0f} pictures a second", remedy)
+    return Finding(name, State.WORKS, f"{rate_hz:.0f} pictures a second")

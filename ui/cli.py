@@ -208,15 +208,20 @@ def _add_run(commands: Any) -> None:
         help="real drones instead of the simulated fleet, such as red=udpin://0.0.0.0:14540",
     )
     run.add_argument("--scenario", type=file, metavar="FILE", help="terrain, obstacles, fence, traffic (TOML)")
-    run.add_argument("--config", type=file, action="append", default=[], metavar="FILE", help="settings (TOML)")
-    run.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="one setting: envelope.speed_m_s=0.3"
-    )
+    _add_settings(run)
     run.add_argument("--operator", type=_typed(parse_place), metavar="LAT,LON,AMSL", help="where the operator stands")
     run.add_argument("--takeoff", type=_typed(parse_takeoff), metavar="METRES", help="take off to this height first")
     run.add_argument("--apply-failsafe", action="store_true", help="set the required failsafe parameters first")
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
+
+
+def _add_settings(command: _Parser) -> None:
+    file = _typed(parse_file)
+    command.add_argument("--config", type=file, action="append", default=[], metavar="FILE", help="settings (TOML)")
+    command.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="one setting: envelope.speed_m_s=0.3"
+    )
 
 
 def _add_sim(commands: Any) -> None:
@@ -237,6 +242,8 @@ def _add_check(commands: Any) -> None:
         help="does this drone answer?",
     )
     check.add_argument("--audio", type=_typed(parse_audio), metavar="mic:NAME", help="listen to this microphone")
+    check.add_argument("--video", type=_typed(parse_video), metavar="camera:N|URL", help="watch this camera")
+    check.add_argument("--mirror", action="store_true", help="do the mirror test, although this is no terminal")
 
 
 def _add_models(commands: Any) -> None:
@@ -249,6 +256,7 @@ def _add_evaluate(commands: Any) -> None:
     evaluate = _add(commands, "evaluate", "measure recognition on a folder of recordings; prints JSON", _run_evaluate)
     evaluate.add_argument("what", choices=("voice", "hands"))
     evaluate.add_argument("folder", type=Path, metavar="DIR", help="one sub-folder per expected command")
+    _add_settings(evaluate)
 
 
 def _run_nothing(options: argparse.Namespace) -> int:
@@ -295,8 +303,10 @@ def _run_check(options: argparse.Namespace) -> int:
 
     if options.audio is not None and not isinstance(options.audio, LiveMicrophone):
         raise OptionError(f"--audio {options.audio}: check listens to a microphone, give mic or mic:NAME")
+    if isinstance(options.video, Path):
+        raise OptionError(f"--video {options.video}: check watches a camera, give camera:N or its address")
     name = options.audio.name if options.audio is not None else None
-    return show(Wanted(parse_vehicles(options.vehicle), name))
+    return show(Wanted(parse_vehicles(options.vehicle), name, options.video, options.mirror))
 
 
 def _run_models(options: argparse.Namespace) -> int:
@@ -309,9 +319,10 @@ def _run_models(options: argparse.Namespace) -> int:
 
 
 def _run_evaluate(options: argparse.Namespace) -> int:
+    from config.settings import load_settings
     from ui.models import evaluate
 
-    evaluate(options.what, options.folder)
+    evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture)
     return 0
 
 

@@ -15,16 +15,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from types import ModuleType
 
+    from modalities.camera import CameraAddress
+
 
 class State(StrEnum):
     """WORKS: seen to work. WEAK: works, but not well enough. MISSING: what needs it cannot be used. NOT_BUILT: no part of
-    this M3R.
+    this M3R. NOT_DONE: it takes a person.
     """
 
     WORKS = "works"
     WEAK = "weak"
     MISSING = "missing"
     NOT_BUILT = "not built"
+    NOT_DONE = "not done"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +42,14 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What to look at beyond what every machine has. vehicles: MAVLink address by colour; microphone: as --audio mic:NAME."""
+    """What to look at beyond what every machine has. vehicles: MAVLink address by colour; microphone: as --audio mic:NAME;
+    camera: None for those of this machine; mirror: ask the person before the camera to point, although no terminal is here.
+    """
 
     vehicles: Mapping[str, str] = field(default_factory=dict)
     microphone: str | None = None
+    camera: CameraAddress | None = None
+    mirror: bool = False
 
 
 def shown(finding: Finding, width: int = 100) -> str:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from config.settings import Gesture
+
     Model = VoiceModel | HandModel
     Show = Callable[[int, int | None], None]
     Say = Callable[[str], None]
@@ -87,7 +89,7 @@ def _have_hand_model(show: Show, say: Say) -> tuple[Model, bool]:
     return have_hand_model(progress=show, say=say)
 
 
-def evaluate(what: str, folder: Path) -> None:
+def evaluate(what: str, folder: Path, gesture: Gesture) -> None:
     """Recognition of voice or hands on a folder of recordings, as one JSON object on standard output."""
     console = Console(stderr=True)
     columns = TextColumn("recordings"), BarColumn(), MofNCompleteColumn()
@@ -106,5 +108,5 @@ def evaluate(what: str, folder: Path) -> None:
         else:
             from modalities.evaluate_hands import evaluate_hands
 
-            result = evaluate_hands(folder, model, progress=show)
+            result = evaluate_hands(folder, model, hold_s=gesture.hold_s, mirrored=gesture.mirrored, progress=show)
     print(json.dumps(result, allow_nan=False, indent=2 if sys.stdout.isatty() else None))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from config.settings import load_settings
+from m3r_app.inputs import open_inputs
+from m3r_app.options import LiveMicrophone, RunOptions
 from modalities.audio import quiet, read_audio
+from modalities.audio_devices import look_again
 from modalities.models import ModelError, find_model
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 from tests.whole import PLAIN, App
@@ -60,3 +65,20 @@ def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
     ]  # fmt: skip
     assert all(0.0 <= r["latency_ms"] < 1500.0 for r in ran.of("request"))
     assert ran.events[-1]["violations"] == 0
+
+
+def test_push_to_talk_without_a_key_stays_closed_and_says_so(server: SoundServer) -> None:
+    look_again()
+    settings = load_settings([], ["voice.push_to_talk=true"])
+    options = RunOptions(audio=LiveMicrophone(MICROPHONE))
+    inputs = open_inputs(options, ("red",), settings, time.monotonic, lambda _sentence: None)
+    try:
+        assert inputs.sentences[-1] == (
+            "push-to-talk has no key, since standard input is no terminal: the microphone stays closed"
+        )
+        assert inputs.voice is not None
+        microphone = inputs.voice._microphone
+        assert microphone is not None and microphone._talking is not None
+        assert not microphone._talking()
+    finally:
+        inputs.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.server
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +13,7 @@ import pytest
 
 from modalities.camera import Camera, CameraAddress, camera_address
 from modalities.video import Frame, PlayedFile, VideoError, VideoFile
+from tests.mjpeg import Site, serving
 
 WIDTH_PX, HEIGHT_PX = 160, 120
 
@@ -136,53 +136,10 @@ def test_a_password_is_not_repeated() -> None:
     assert address == CameraAddress("rtsp://me:secret@127.0.0.1/a", "rtsp://127.0.0.1/a")
 
 
-class Site(http.server.BaseHTTPRequestHandler):
-    """Motion JPEG: pictures until told to hang up, each new unless frozen."""
-
-    frozen = False
-    down = False
-    sent = 0
-    served = 0
-    pause_s = 0.02
-
-    def do_GET(self) -> None:
-        if type(self).down:
-            self.send_error(503)
-            return
-        self.send_response(200)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        tick = threading.Event()
-        try:
-            while not type(self).down:
-                type(self).sent += not type(self).frozen
-                _, data = cv2.imencode(".jpg", picture(type(self).sent))
-                self.wfile.write(b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(data))
-                self.wfile.write(data.tobytes() + b"\r\n")
-                type(self).served += 1
-                tick.wait(type(self).pause_s)
-        except (ConnectionError, TimeoutError):
-            pass
-        self.close_connection = True
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
 def site() -> Iterator[tuple[type[Site], CameraAddress]]:
-    handler = type("OneSite", (Site,), {})
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    address = camera_address(f"http://127.0.0.1:{server.server_address[1]}/hands.mjpg")
-    assert address is not None
-    yield handler, address
-    handler.down = True
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with serving(picture) as (handler, address):
+        yield handler, address
 
 
 def test_an_address_where_nothing_is_is_one_sentence() -> None:

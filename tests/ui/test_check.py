@@ -141,7 +141,7 @@ def cameras(monkeypatch: pytest.MonkeyPatch, numbers: list[int], rate_hz: dict[i
         Camera=Camera, VideoError=VideoError, camera_address=lambda text: int(text.removeprefix("camera:"))
     )
     monkeypatch.setattr(check_devices, "module", lambda _name: module)
-    monkeypatch.setattr(check_devices, "_camera_numbers", lambda: numbers)
+    monkeypatch.setattr(check_devices, "camera_numbers", lambda: numbers)
     monkeypatch.setattr("os.access", lambda *_: True)
 
 
@@ -159,7 +159,7 @@ def test_a_camera_that_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     monkeypatch.setattr("os.access", lambda *_: False)
     assert found("camera")[0].remedy == "add yourself to the group video"
-    monkeypatch.setattr(check_devices, "_camera_numbers", list)
+    monkeypatch.setattr(check_devices, "camera_numbers", list)
     assert "no /dev/video*" in found("camera")[0].text
 
 
