@@ -253,3 +253,17 @@ def test_real_hands_of_a_few_people(tmp_path: Path, hand_model: HandModel) -> No
     assert sum(c["right"] for c in commands.values()) >= 0.94 * sum(c["n"] for c in commands.values())
     assert sum(c["wrong"] for c in commands.values()) == 0
     assert none["false_moves"] <= 0.05 * none["n"]
+
+
+def test_a_missing_system_library_is_named_with_its_packages(
+    hand_model: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MediaPipe loads libEGL when a landmarker is made, not when it is imported."""
+    from mediapipe.tasks.python import vision
+
+    def missing(_options: object) -> None:
+        raise OSError("libEGL.so.1: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr(vision.HandLandmarker, "create_from_options", missing)
+    with pytest.raises(ModelError, match=r"a library is missing: install libegl1 and libgles2 \(libEGL.so.1"):
+        HandDetector(hand_model)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from typing import TYPE_CHECKING
 
+import cv2
+import numpy as np
 import pytest
 
+from config.demo.drawn_hand import GESTURES, centre_of, draw, wall
 from modalities import models as voice_models
+from modalities.models import ModelError, find_hand_model
 from ui import cli
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import json
+from pathlib import Path
 
 
 @pytest.fixture
@@ -101,3 +107,20 @@ def test_evaluating_a_missing_folder_names_it(model: Path, capsys: pytest.Captur
     assert out == ""
     assert err.splitlines()[-1].startswith("m3r: ")
     assert "recordings" in err.splitlines()[-1]
+
+
+def test_hands_are_evaluated_with_the_settings_they_are_flown_with(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A mirrored picture of somebody who points to their left."""
+    try:
+        find_hand_model()
+    except ModelError as error:
+        pytest.skip(f"no hand model: {error}")
+    (tmp_path / "go_left").mkdir()
+    room = wall(np.random.default_rng(7))
+    pose = GESTURES["go_right"]
+    cv2.imwrite(str(tmp_path / "go_left" / "a.png"), draw(room, pose, centre_of(pose), -16.0))
+    assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirrored=true"]) == 0
+    assert json.loads(capsys.readouterr().out)["commands"]["go_left"]["right"] == 1
+    assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirored=true"]) == 2
