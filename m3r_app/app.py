@@ -202,7 +202,7 @@ class _Run:
 
     def _shell(self, setting: Setting, fleet: Fleet, guard: Guard) -> Shell:
         settings = setting.settings
-        policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace)
+        policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace, self.options.dry_run)
 
         async def pair(shell: Shell, colour: str) -> None:
             await self._pair(setting, shell, colour)

@@ -83,7 +83,11 @@ def consider(run: Step, request: ManeuverRequest, intent: Intent, *, may_delay: 
         run.be(deciding=Deciding(request, intent, decision, deadline_s), rechecked_at_s=run.now_s)
     else:
         run.go(Cause.GUARDS_OK)
-        reserve(run, request, intent, decision)
+        if s.policy.dry_run:
+            decided(run, request, decision)
+            run.go(Cause.DRY_RUN)
+        else:
+            reserve(run, request, intent, decision)
 
 
 def recheck(run: Step) -> None:
@@ -223,7 +227,8 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
             run.count("rejected")
             remember(run, request, refused=True)
     colour = run.state.session.colour if run.state.session else "no drone"
-    run.do(Announce(wording.decided(colour, wording.asked(request), decision)))
+    text = wording.decided(colour, wording.asked(request), decision)
+    run.do(Announce(f"dry run, {text}" if run.state.policy.dry_run else text))
 
 
 def remember(run: Step, request: ManeuverRequest, *, refused: bool = False) -> None:

@@ -189,6 +189,8 @@ class Policy:
     return_to_anchor: Literal["auto", "ask", "never"] = "auto"
     on_disconnect: Literal["hold", "resume"] = "hold"
     replace: Literal["off", "offer"] = "off"
+    dry_run: bool = False
+    """Decide and tell as ever, but fly nothing of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,7 @@ class Cause(StrEnum):
     DELAY_OVER = "delay_over"
     VOLUME_GRANTED = "volume_granted"
     VOLUME_DENIED = "volume_denied"
+    DRY_RUN = "dry_run"
     CONTRADICTED = "contradicted"
     TOLD = "told"
     COMPLETED = "completed"
@@ -100,6 +101,7 @@ TRANSITIONS: dict[tuple[State, Cause], State] = {
     (S.PLANNED, C.RETURN_APPROVED): S.RETURN_TO_ANCHOR,
     (S.PLANNED, C.VOLUME_DENIED): S.BLOCKED,
     (S.PLANNED, C.GUARDS_FAILED): S.BLOCKED,
+    (S.PLANNED, C.DRY_RUN): S.ARMED,
     (S.PLANNED, C.INTERRUPTED): S.SETTLING,
     (S.BLOCKED, C.TOLD): S.ARMED,
     # Execute, complete, abort

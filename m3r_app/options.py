@@ -59,6 +59,10 @@ class RunOptions:
     """Take off to this height first."""
     apply_failsafe: bool = False
     """Set the required failsafe parameters before pairing."""
+    dry_run: bool = False
+    """Decide and tell, but fly nothing of what is asked."""
+    plain: bool = False
+    """Every event one sentence, for screen readers and logs."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None

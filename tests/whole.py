@@ -40,11 +40,13 @@ class Ran:
 class App:
     """A running `m3r`."""
 
-    def __init__(self, arguments: Sequence[str], stdin: str | None = None) -> None:
+    def __init__(self, arguments: Sequence[str], stdin: str | None = None, terminal: int | None = None) -> None:
+        """stdin: what is written to it; terminal: a file descriptor to be it instead."""
+        nothing = subprocess.DEVNULL if terminal is None else terminal
         self.process = subprocess.Popen(
             [sys.executable, "-m", "ui.entry", *arguments],
             cwd=ROOT,
-            stdin=subprocess.PIPE if stdin is not None else subprocess.DEVNULL,
+            stdin=subprocess.PIPE if stdin is not None else nothing,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

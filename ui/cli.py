@@ -184,7 +184,9 @@ def _typed(parse: Callable[[str], object]) -> Callable[[str], object]:
 def _add_run(commands: Any) -> None:
     run = _add(commands, "run", "pair with a drone and fly what is asked for, as far as it is safe", _run_run)
     file = _typed(parse_file)
-    run.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
+    style = run.add_mutually_exclusive_group()
+    style.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
+    style.add_argument("--plain", action="store_true", help="every event is one sentence, for screen readers and logs")
     run.add_argument(
         "--audio",
         type=_typed(parse_audio),
@@ -212,6 +214,11 @@ def _add_run(commands: Any) -> None:
     run.add_argument("--operator", type=_typed(parse_place), metavar="LAT,LON,AMSL", help="where the operator stands")
     run.add_argument("--takeoff", type=_typed(parse_takeoff), metavar="METRES", help="take off to this height first")
     run.add_argument("--apply-failsafe", action="store_true", help="set the required failsafe parameters first")
+    run.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say what each request would become, and fly none (pairing still turns the drone to you)",
+    )
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
 
@@ -278,6 +285,8 @@ def _run_run(options: argparse.Namespace) -> int:
         operator=options.operator,
         takeoff_m=options.takeoff,
         apply_failsafe=options.apply_failsafe,
+        dry_run=options.dry_run,
+        plain=options.plain,
         record=options.record,
         timeout_s=options.timeout,
     )
@@ -286,7 +295,7 @@ def _run_run(options: argparse.Namespace) -> int:
     from m3r_app.app import run
     from ui.output import Output
 
-    with Output(headless=asked.headless) as output:
+    with Output(headless=asked.headless, plain=asked.plain) as output:
         return asyncio.run(run(asked, output.emit))
 
 

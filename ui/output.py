@@ -12,7 +12,7 @@ import threading
 from typing import TYPE_CHECKING, Any, Self
 
 from ui.headless import line
-from ui.narrator import narrated
+from ui.narrator import every_sentence, narrated, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,9 +25,12 @@ CLOSE_S = 5.0
 class Output:
     """Writes events as they happen; headless: JSON to `out` and sentences to `err`, else sentences to `out`."""
 
-    def __init__(self, *, headless: bool, out: int = STANDARD_OUTPUT, err: int = STANDARD_ERROR) -> None:
-        """out, err: file descriptors, written to without a buffer so that every line is out at once."""
+    def __init__(
+        self, *, headless: bool, plain: bool = False, out: int = STANDARD_OUTPUT, err: int = STANDARD_ERROR
+    ) -> None:
+        """plain: a sentence for every event, not only for those that tell something new. out, err: file descriptors, written to without a buffer so that every line is out at once."""
         self._headless = headless
+        self._sentence = every_sentence if plain else sentence
         self._out = out
         self._err = err
         self._gone: set[int] = set()
@@ -50,7 +53,7 @@ class Output:
         while (event := self._queue.get()) is not None:
             if self._headless:
                 self._write(self._out, line(event))
-            text = narrated(event)
+            text = narrated(event, self._sentence)
             if text is not None:
                 self._write(self._err if self._headless else self._out, text)
 

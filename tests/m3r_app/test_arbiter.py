@@ -949,6 +949,25 @@ def test_reduced_says_both_lengths_and_why() -> None:
     assert "wall" in table.said()[-1]
 
 
+@pytest.mark.parametrize("wall_m", [12.5, 40.0])
+def test_a_dry_run_decides_as_ever_and_flies_nothing(wall_m: float) -> None:
+    """The same decision as when it is flown, then Armed again."""
+    limits, world = Limits(tracking_m=0.0, lag_s=0.0), replace(FLAT, obstacles=wall_at(wall_m))
+    flown = Tabletop(world=world, limits=limits).paired()
+    real = flown.decisions(flown.ask(Command.GO_FORWARD))
+    table = Tabletop(world=world, limits=limits, policy=Policy(dry_run=True)).paired()
+    before = table.state.tally
+    dry = table.decisions(table.ask(Command.GO_FORWARD))
+    ours = {"request": None}
+    assert [{**d, **ours} for d in dry] == [{**d, **ours} for d in real]
+    assert table.said()[-1] == f"dry run, {flown.said()[-1]}"
+    assert table.state.state is State.ARMED
+    assert table.state.flight is None
+    assert table.state.tally == replace(before, requests=before.requests + 1, approved=before.approved + 1)
+    table.ask(Command.STOP)
+    assert table.wait(1.0).state.state is State.ARMED
+
+
 def test_an_offer_flies_only_after_continue() -> None:
     """Design 7: replaced is a suggestion."""
     world, limits = replace(FLAT, obstacles=wall_at(12.25)), Limits(lateral_step_m=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,6 +66,30 @@ def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
     ]  # fmt: skip
     assert all(0.0 <= r["latency_ms"] < 1500.0 for r in ran.of("request"))
     assert ran.events[-1]["violations"] == 0
+
+
+def test_push_to_talk_in_a_terminal(server: SoundServer) -> None:
+    """Only what is said between one Enter and the next is asked for."""
+
+    def say(name: str) -> None:
+        server.play(np.concatenate([quiet(0.5), read_audio(RECORDINGS / name), quiet(1.0)])).wait(20.0)
+
+    keyboard, terminal = os.openpty()
+    app = App([*RUN, "--audio", f"mic:{MICROPHONE}", "--set", "voice.push_to_talk=true"], terminal=terminal)
+    app.until("pair", status="confirmed")
+    say("go_up/go-up_0.ogg")
+    os.write(keyboard, b"\n")
+    app.until("announce", text="the microphone is open: press Enter when you have spoken")
+    say("go_left/go-left_0.ogg")
+    app.until("motion", status="started")
+    os.write(keyboard, b"\n")
+    app.until("announce", text="the microphone is closed, a spoken stop too is not heard: press Enter to speak")
+    say("go_up/go-up_0.ogg")
+    app.process.terminate()
+    ran = app.finish()
+    os.close(keyboard)
+    os.close(terminal)
+    assert [r["command"] for r in ran.of("request")] == ["go_left"]
 
 
 def test_push_to_talk_without_a_key_stays_closed_and_says_so(server: SoundServer) -> None:

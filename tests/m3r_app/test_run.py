@@ -388,3 +388,23 @@ def test_a_port_that_somebody_holds_is_exit_2(tmp_path: Path) -> None:
         ran = m3r("run", "--headless", "--pair", "red", "--vehicle", f"red=udpin://127.0.0.1:{port}")
     assert ran.status == 2
     assert str(port) in ran.told
+
+
+def test_a_dry_run_told_plainly_flies_nothing(tmp_path: Path) -> None:
+    """Every event is a sentence; requests are decided, and the drone stays where it was paired."""
+    with simulated(PLAIN, tmp_path) as sim:
+        script = tmp_path / "story.txt"
+        script.write_text("0.5 panel go right\n1.5 voice go up confidence=0.3\n2.5 panel turn left\n")
+        asked = ["run", "--dry-run", "--plain", "--pair", "red", "--script", str(script), "--scenario", str(PLAIN)]
+        app = App([*asked, *sim.vehicles])
+        out, told = app.process.communicate(timeout=60.0)
+        assert app.process.returncode == 0, told
+        before, after = sim.states("red")[0]["ned_m"], sim.last("red")["ned_m"]
+        assert math.dist(before, after) < 0.5
+    said = [line.partition(" s  ")[2] for line in out.splitlines()]
+    assert "request script-1 is approved, 1.00 m of 1.00 m" in said
+    assert "dry run, Red: right 1.00 m" in said
+    assert any(line.startswith("request script-2 is rejected; voice confidence 0.30, 0.70 needed") for line in said)
+    assert "dry run, Red: turn left" in said
+    assert not any(line.startswith("request script-") and ("started" in line or "completed" in line) for line in said)
+    assert said[-1].startswith("ended (inputs_played): 3 requests, 2 approved, 1 rejected, 0 completed, 0 aborted")

@@ -15,7 +15,7 @@ import pytest
 from safety.vocabulary import Mode
 from ui import output as output_module
 from ui.headless import line
-from ui.narrator import sentence
+from ui.narrator import every_sentence, sentence
 from ui.output import Output
 
 if TYPE_CHECKING:
@@ -159,3 +159,55 @@ def test_nobody_to_hang_up_to(handler: signal.Handlers) -> None:
         output_module.hang_up()  # with SIG_DFL a signal would end the tests
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+MOTION = {
+    "event": "motion", "request": "r1", "status": "completed", "displacement_enu_m": [0.9, -0.1, -0.001], "yaw_deg": 0.4,
+    "min_clearance_m": 4.25, "min_separation_m": None, "max_speed_m_s": 0.48,
+}  # fmt: skip
+FAILED = {
+    "passed": False,
+    "text": "0.1 m too close to the wall",
+    "constraint": "obstacle_clearance",
+    "requirements": ["R3"],
+}
+
+
+@pytest.mark.parametrize(
+    ("event", "said"),
+    [
+        ({"event": "announce", "text": "Red: left"}, "Red: left"),
+        (
+            {"event": "request", "id": "r1", "command": "go_left", "modality": "voice", "evidence": "go left",
+             "confidence": None, "latency_ms": 301.2},
+            "request r1 by voice, go left: go_left, confidence unknown, after 301 ms",
+        ),
+        (
+            {"event": "decision", "request": "r1", "verdict": "reduced", "requested_m": 1.0, "granted_m": 0.4,
+             "findings": [FAILED, {**FAILED, "passed": True}]},
+            "request r1 is reduced, 0.40 m of 1.00 m; 0.1 m too close to the wall (obstacle_clearance, R3)",
+        ),
+        (
+            {"event": "decision", "request": "r1", "verdict": "approved", "requested_m": None, "granted_m": None,
+             "findings": []},
+            "request r1 is approved",
+        ),
+        (
+            {"event": "mode", "mode": "Blocked", "previous": "ManeuverResponseArmed", "state": "Blocked",
+             "cause": "guards_failed"},
+            "mode Blocked, Blocked, because of guards_failed; before: ManeuverResponseArmed",
+        ),
+        (
+            MOTION,
+            ("request r1 completed: 0.90 m east, -0.10 m north, 0.00 m up, turned 0 degrees, least clearance 4.25 m, "
+            "at most 0.48 m/s"),
+        ),
+        ({"event": "pair", "vehicle": "red", "status": "refused", "reasons": ["a", "b"]}, "pairing with red refused: a; b"),
+        (
+            {"event": "violation", "kind": "predicted", "requirements": ["R5", "R10"], "action": "abort"},
+            "predicted violation of R5, R10: abort",
+        ),
+    ],
+)  # fmt: skip
+def test_in_plain_mode_every_event_is_one_sentence(event: dict[str, Any], said: str) -> None:
+    assert every_sentence({"t": 1.0, **event}) == said
