@@ -63,6 +63,8 @@ class RunOptions:
     """Decide and tell, but fly nothing of what is asked."""
     plain: bool = False
     """Every event one sentence, for screen readers and logs."""
+    console: bool = False
+    """Somebody sits at the console: the run goes on until they end it, played inputs or not."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None

@@ -13,6 +13,7 @@ import os
 import re
 import sys
 import threading
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -154,6 +155,7 @@ def _parser() -> _Parser:
     parser.add_argument("--version", action="version", version=f"m3r {version('m3r')}")
     parser.set_defaults(parser=parser, run=_run_nothing)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _add_console(commands)
     _add_run(commands)
     _add_sim(commands)
     _add_check(commands)
@@ -183,10 +185,21 @@ def _typed(parse: Callable[[str], object]) -> Callable[[str], object]:
 
 def _add_run(commands: Any) -> None:
     run = _add(commands, "run", "pair with a drone and fly what is asked for, as far as it is safe", _run_run)
-    file = _typed(parse_file)
     style = run.add_mutually_exclusive_group()
     style.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
     style.add_argument("--plain", action="store_true", help="every event is one sentence, for screen readers and logs")
+    _add_flight(run)
+
+
+def _add_console(commands: Any) -> None:
+    console = _add(
+        commands, "console", "ask by keys, voice and hands, and see it all (m3r alone does this)", _run_console
+    )
+    _add_flight(console)
+
+
+def _add_flight(run: _Parser) -> None:
+    file = _typed(parse_file)
     run.add_argument(
         "--audio",
         type=_typed(parse_audio),
@@ -266,14 +279,31 @@ def _add_evaluate(commands: Any) -> None:
     _add_settings(evaluate)
 
 
-def _run_nothing(options: argparse.Namespace) -> int:
-    options.parser.print_help(sys.stderr)
-    return BAD_INPUT
+def _run_nothing(_options: argparse.Namespace) -> int:
+    from ui.console.start import show
+
+    return show(RunOptions())
+
+
+def _run_console(options: argparse.Namespace) -> int:
+    from ui.console.start import show
+
+    return show(_asked(options))
 
 
 def _run_run(options: argparse.Namespace) -> int:
-    asked = RunOptions(
-        headless=options.headless,
+    asked = replace(_asked(options), headless=options.headless, plain=options.plain)
+    import asyncio
+
+    from m3r_app.app import run
+    from ui.output import Output
+
+    with Output(headless=asked.headless, plain=asked.plain) as output:
+        return asyncio.run(run(asked, output.emit))
+
+
+def _asked(options: argparse.Namespace) -> RunOptions:
+    return RunOptions(
         audio=options.audio,
         video=options.video,
         script=options.script,
@@ -286,17 +316,9 @@ def _run_run(options: argparse.Namespace) -> int:
         takeoff_m=options.takeoff,
         apply_failsafe=options.apply_failsafe,
         dry_run=options.dry_run,
-        plain=options.plain,
         record=options.record,
         timeout_s=options.timeout,
     )
-    import asyncio
-
-    from m3r_app.app import run
-    from ui.output import Output
-
-    with Output(headless=asked.headless, plain=asked.plain) as output:
-        return asyncio.run(run(asked, output.emit))
 
 
 def _run_sim(options: argparse.Namespace) -> int:
