@@ -30,6 +30,8 @@ WATCHED = {
     "standoff": "operator",
 }
 """What an operator is shown all the time: constraint and its short name."""
+NOWHERE_M = 1e6
+"""Who tells to be farther away than this, or NaN, is nowhere."""
 FULL_M = 5.0
 """A margin of so many metres or more fills its bar."""
 HOVER_RULES: tuple[Rule, ...] = tuple(r for r in RULES if r.subject is Subject.PATH and r.name in WATCHED)
@@ -105,9 +107,10 @@ class Margin:
 
 def craft(name: str, telemetry: Telemetry, frame: LocalFrame, now_s: float, *, ours: bool) -> Craft:
     """A vehicle's telemetry in the session's frame."""
+    place = frame.ned(telemetry.geodetic) if telemetry.geodetic is not None else None
     return Craft(
         name,
-        frame.ned(telemetry.geodetic) if telemetry.geodetic is not None else None,
+        place if place is not None and max(map(abs, place)) < NOWHERE_M else None,
         telemetry.velocity,
         telemetry.yaw_deg,
         float(np.maximum(telemetry.sigma_h_m, telemetry.sigma_v_m)),

@@ -11,6 +11,8 @@ import signal
 from collections import deque
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 from textual import events
 from textual.app import App, ComposeResult, SystemCommand
@@ -26,7 +28,7 @@ from ui.console import panels, story
 from ui.console.drawing import Asked, from_above, from_side, reach_of_all
 from ui.console.keys import KEYS, Keys
 from ui.console.prompts import Choice, Help, Question
-from ui.console.terminal import NEEDED, PlainSigns, is_plain
+from ui.console.terminal import NEEDED, PlainSigns, Styled, is_plain
 from ui.console.views import Skeleton, View
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ LOG_LINES = 1000
 TAKEOFF_M = 5.0
 """How high the console offers to take off, unless told otherwise."""
 ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
+STOP_KEYS = ("space", "escape")
 DIGITS = "123456789"
 MOVES = (
     ("go_left", "← left"),
@@ -55,11 +58,11 @@ MOVES = (
     ("go_down", "PgDn down"),
 )
 OTHERS = (
-    ("turn_left", "[ turn left"),
-    ("turn_right", "] turn right"),
+    ("turn_left", "[ turn L"),
+    ("turn_right", "] turn R"),
     ("continue", "c continue"),
-    ("disconnect", "x disconnect"),
-    ("look", "d look first"),
+    ("disconnect", "x unpair"),
+    ("look", "d look"),
     ("help", "? help"),
 )
 HELP = """Space, Escape   STOP: hold now, from anywhere
@@ -80,6 +83,14 @@ q, Ctrl-C       leave: the drone stays in Hold
 Left, right, forward and back are yours, as you look at the drone.
 Nothing you ask for is a command: what is not safe is shortened or refused, and the log says why.
 Signs: O you, the arrow is the drone, + the anchor with its workspace, letters are other aircraft."""
+
+
+class Key(Button):
+    """A button that is also a key: its label begins with it."""
+
+    def __init__(self, label: str, name: str) -> None:
+        super().__init__(label, id=name, compact=True)
+        self.styles.line_pad = 0  # the labels need every cell (a style sheet takes no 0 here)
 
 
 class Flying(Screen[None]):
@@ -120,6 +131,7 @@ class Flying(Screen[None]):
         self._asked: Asked | None = None
         self._last: dict[str, tuple[float, float]] = {}
         self._colours: tuple[str, ...] = ()
+        self._before: Mapping[str, Any] | None = None
 
     # ------------------------------------------------------------ what there is
 
@@ -139,12 +151,12 @@ class Flying(Screen[None]):
         with Horizontal(id="panel"):
             with Vertical(id="buttons"):
                 with Horizontal(id="colours", classes="row"):
-                    yield Button("o take off", id="take_off", compact=True)
-                    yield Button("l land", id="land", compact=True)
+                    yield Key("o take off", "take_off")
+                    yield Key("l land", "land")
                 for row in (MOVES, OTHERS):
                     with Horizontal(classes="row"):
                         for name, label in row:
-                            yield Button(label, id=name, compact=True)
+                            yield Key(label, name)
             yield Button("STOP\nspace or Esc", id="stop", variant="error")
         with Container(id="small"):
             yield Static(id="too_small", markup=False)
@@ -210,10 +222,12 @@ class Flying(Screen[None]):
     def _read_events(self, picture: Picture | None) -> None:
         log = self.query_one("#log", RichLog)
         session = picture.state.session if picture is not None else None
+        width = log.scrollable_content_region.width or None
         while self._events:
             event = self._events.popleft()
-            for line in story.lines(event):
-                log.write(line)
+            for line in story.lines(event, self._before):
+                log.write(line, width=width)
+            self._before = event
             if event["event"] == "request":
                 self._last[event["modality"]] = (self._live.clock(), event["confidence"] or 0.0)
             if event["event"] == "decision":
@@ -226,7 +240,7 @@ class Flying(Screen[None]):
         self._colours = picture.setting.colours
         row = self.query_one("#colours", Horizontal)
         buttons = [
-            Button(f"{number} {colour.capitalize()}", id=f"pair-{number - 1}", compact=True)
+            Key(f"{number} {colour.capitalize()}", f"pair-{number - 1}")
             for number, colour in enumerate(self._colours[: len(DIGITS)], start=1)
         ]
         row.mount(*buttons, before=0)
@@ -318,7 +332,7 @@ class Flying(Screen[None]):
             self.notify("more keys than anybody types: ignored until they end (STOP is not)", severity="warning")
         return False
 
-    def _question(self, text: Text | str, choices: tuple[Choice, ...], then: Any) -> None:
+    def _question(self, text: RenderableType, choices: tuple[Choice, ...], then: Any) -> None:
         def answered(answer: str | None) -> None:
             if answer is not None:
                 then(answer)
@@ -348,26 +362,31 @@ class Flying(Screen[None]):
         found = preview(picture.state, request, self._live.clock())
         name = self._colour or "No drone"
         self._question(
-            preview_text(name, command, found),
+            preview_table(name, command, found),
             (Choice(f"{name}: ask for it", "yes"),),
             lambda _: self._live.ask(command),
         )
 
 
-def preview_text(name: str, command: Command, found: Preview) -> Text:
-    """What a request would become, with every finding."""
+def preview_table(name: str, command: Command, found: Preview) -> RenderableType:
+    """What a request would become, with every finding, those that fail first."""
     text = Text(f"{name}: {story.words(command.value)} would be ", style="bold")
     if found.decision is None:
         return text.append(f"judged later: {found.text}" if found.text else "judged later")
     text.append_text(story.verdict(found.decision))
     if found.interrupts:
         text.append("; what is flown now would end first")
-    for finding in found.decision["findings"]:
+    table = Table.grid(padding=(0, 1), expand=True)
+    table.add_column()
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    table.add_column(ratio=1)
+    for finding in sorted(found.decision["findings"], key=lambda f: bool(f["passed"])):
         margin = "" if finding["margin"] is None else f"{finding['margin']:+.2f} {finding['unit']}"
         sign, style = ("✓", "green") if finding["passed"] else ("✗", "bold red")
-        text.append(f"\n{sign} {finding['constraint']:<19}{margin:>11}  ", style=style)
-        text.append(finding["text"])
-    return text
+        name_of = finding["constraint"].replace("_", " ")
+        table.add_row(Text(sign, style), Text(name_of, style), Text(margin, style), Text(finding["text"]))
+    return Group(text, table)
 
 
 class Console(App[None]):
@@ -377,7 +396,6 @@ class Console(App[None]):
     TITLE = "M3R"
     ENABLE_COMMAND_PALETTE = True
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("space,escape", "stop", "STOP", priority=True, show=False),
         Binding("ctrl+c", "interrupt", "leave", priority=True, show=False, system=True),
     ]
 
@@ -386,6 +404,7 @@ class Console(App[None]):
     ) -> None:
         super().__init__()
         self.live = live
+        self._filters.insert(0, Styled())
         self.plain = is_plain(os.environ)
         if self.plain:
             self._filters.append(PlainSigns())
@@ -403,6 +422,13 @@ class Console(App[None]):
         loop = asyncio.get_running_loop()
         for name in (*ENDING, signal.SIGTSTP):
             loop.remove_signal_handler(name)
+
+    async def on_event(self, event: events.Event) -> None:
+        """STOP before whatever has the focus sees the key: a field to type in would keep even a binding from it."""
+        if isinstance(event, events.Key) and event.key in STOP_KEYS:
+            self.action_stop()
+        else:
+            await super().on_event(event)
 
     def get_system_commands(self, _screen: Screen[Any]) -> Iterable[SystemCommand]:
         """The palette: everything that has a key, by its name."""

@@ -37,6 +37,10 @@ STALE_S = 1.0
 """A neighbour older than that is drawn as such (tau_max's default)."""
 NEAR_PLANE_M = 8.0
 """So near to the plane of the side view somebody is drawn in it."""
+BOTH_M = 30.0
+"""From nearer than this the operator is kept in view."""
+FARTHEST_M = 80.0
+"""No view reaches farther."""
 ARROWS = "↑↗→↘↓↙←↖"
 
 
@@ -149,8 +153,11 @@ def from_side(picture: Picture, reach_m: float, aspect: float, asked: Asked | No
     def at(place: Ned) -> tuple[float, float]:
         return _in_plane(place, origin, along)
 
-    x, y = at(here)[0], -here.down
-    step_m = reach_m / 2.0
+    x, height_m = at(here)[0], _height_m(world, here)
+    # The ground below stays in view.
+    reach_m = max(reach_m, 0.5 * height_m + 2.0)
+    y = -here.down - 0.5 * height_m
+    step_m = reach_m / 4.0
     x, y = round(x / step_m) * step_m, round(y / step_m) * step_m
     window = Window(x - reach_m * aspect, x + reach_m * aspect, y - reach_m, y + reach_m)
     strokes = list(_ground_from_side(world, window, origin, along, state.limits.min_agl_m))
@@ -189,38 +196,46 @@ def caption(picture: Picture) -> str:
     """Who is where, and how old that is."""
     drone = picture.paired
     here = drone.position if drone is not None else None
-    told = []
+    told = ["O you"]
     for one in picture.craft:
         if one is drone:
             continue
-        away = ""
-        if one.position is None:
-            away = " nowhere"
-        elif here is not None:
-            away = f" {one.position.minus(here).norm:.1f} m"
+        away = (
+            " nowhere"
+            if one.position is None
+            else f" {one.position.minus(here).norm:.0f} m"
+            if here is not None
+            else ""
+        )
         age = f"{one.age_s:.1f} s" if math.isfinite(one.age_s) else "never heard"
-        told.append(f"{one.name.capitalize()}{away} ({age})")
-    return ", ".join(["O you", *told])
+        told.append(f"{one.name[:1].upper()} {one.name}{away} {age}")
+    return " · ".join(told)
 
 
 def reach_of_all(picture: Picture) -> float:
-    """A reach that shows everybody who is near, m."""
-    centre = _focus(picture, 10.0)
-    far = [p.position.minus(centre).horizontal for p in picture.craft if p.position is not None]
+    """A reach that shows the paired drone and its operator well; without a pair, everybody who is near, m."""
+    centre, drone = _focus(picture, 10.0), picture.paired
+    shown = [drone] if drone is not None else [c for c in picture.craft if c.ours]
+    places = [c.position for c in shown if c.position is not None]
     if picture.setting.operator is not None:
-        far.append(picture.setting.operator.position.minus(centre).horizontal)
-    return max((f for f in far if math.isfinite(f) and f < 60.0), default=10.0) * 1.15 + 2.0
+        places.append(picture.setting.operator.position)
+    far = [place.minus(centre).horizontal for place in places]
+    return max((f for f in far if math.isfinite(f) and f < 60.0), default=10.0) * 1.1 + 4.0
 
 
 # ---------------------------------------------------------------- parts
 
 
 def _focus(picture: Picture, reach_m: float) -> Ned:
-    """The paired drone, in steps so that the picture does not tremble; else the middle of everybody."""
+    """The middle of drone and operator, in steps so that the picture does not tremble; without a pair, of everybody."""
     drone = picture.paired
     if drone is not None and drone.position is not None and drone.position.finite:
+        operator = picture.setting.operator
+        middle = drone.position
+        if operator is not None and middle.minus(operator.position).horizontal < BOTH_M:
+            middle = Ned(*(0.5 * (a + b) for a, b in zip(middle, operator.position, strict=True)))
         step_m = reach_m / 4.0
-        return Ned(*(round(c / step_m) * step_m for c in drone.position))
+        return Ned(*(round(c / step_m) * step_m for c in middle))
     places = [c.position for c in picture.craft if c.ours and c.position is not None and c.position.finite]
     if picture.setting.operator is not None:
         places.append(picture.setting.operator.position)
@@ -271,7 +286,7 @@ def _outlines(polygons: Polygons | None) -> Iterable[tuple[Floats, Floats]]:
 
 @lru_cache(maxsize=4)
 def _ground_from_above(world: World, window: Window) -> tuple[Stroke, ...]:
-    """Contours of the ground, nice steps apart."""
+    """Contours of the ground, nice steps apart, between the round heights: a plain that lies at one of them is no contour."""
     terrain = world.terrain
     if terrain is None:
         return ()
@@ -285,7 +300,7 @@ def _ground_from_above(world: World, window: Window) -> tuple[Stroke, ...]:
         return ()
     step_m = nice_step(float(np.ptp(known)) / CONTOURS)
     lines = contour_generator(xs, ys, np.ma.masked_invalid(heights))
-    levels = np.arange(math.ceil(known.min() / step_m), math.floor(known.max() / step_m) + 1) * step_m
+    levels = (np.arange(math.floor(known.min() / step_m), math.ceil(known.max() / step_m)) + 0.5) * step_m
     found = []
     for level in levels:
         for line in lines.lines(float(level)):
@@ -321,6 +336,12 @@ def _ground_from_side(
                     )
                 )
     return tuple(found)
+
+
+def _height_m(world: World, here: Ned) -> float:
+    """Above the ground; 0 where that is not known."""
+    height_m = float(world.terrain.agl_m(np.array([here]))[0]) if world.terrain is not None else 0.0
+    return height_m if 0.0 < height_m < FARTHEST_M else 0.0
 
 
 def _runs(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

@@ -20,7 +20,7 @@ SHORT = {
     Mode.ARMED: "Armed",
     Mode.ACTIVE: "Active",
     Mode.BLOCKED: "Blocked",
-    Mode.EMERGENCY_HOLD: "Hold!",
+    Mode.EMERGENCY_HOLD: "Hold",
     Mode.RETURN_TO_ANCHOR: "Return",
 }
 QUIET_DBFS = -60.0
@@ -52,10 +52,13 @@ def modes(picture: Picture | None) -> Text:
     """The modes, the present one lit, and its fine state."""
     if picture is None:
         return Text("starting", style=DIM)
-    text = Text()
+    text, was_lit = Text(), False
     for mode, name in SHORT.items():
         lit = picture.state.mode is mode
-        text.append(f"[{name}]" if lit else f" {name} ", style=LIT if lit else DIM)
+        text.append("[" if lit else "]" if was_lit else " ", style=DIM)
+        text.append(name, style=LIT if lit else DIM)
+        was_lit = lit
+    text.append("]" if was_lit else " ", style=DIM)
     state = picture.state
     text.append(f"\n{state.state.value}", style="bold")
     if state.return_at_s is not None:

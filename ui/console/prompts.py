@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rich.text import Text
+from rich.console import RenderableType
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
@@ -38,7 +38,7 @@ class Question(ModalScreen[str | None]):
         Binding("right", "app.focus_next", show=False),
     ]
 
-    def __init__(self, text: Text | str, choices: tuple[Choice, ...], refusal: str = "No") -> None:
+    def __init__(self, text: RenderableType, choices: tuple[Choice, ...], refusal: str = "No") -> None:
         super().__init__()
         self._text = text
         self._choices = choices
@@ -88,11 +88,11 @@ class Help(ModalScreen[None]):
         self._text = text
 
     def compose(self) -> ComposeResult:
-        with VerticalScroll(id="help"):
+        with VerticalScroll(id="keys"):
             yield Static(self._text, markup=False)
 
     def action_scroll(self, where: str) -> None:
-        scroll = self.query_one("#help", VerticalScroll)
+        scroll = self.query_one("#keys", VerticalScroll)
         if where == "up":
             scroll.scroll_up()
         else:

@@ -21,8 +21,8 @@ SIGNS = {
 """Verdict: sign and style. In ASCII they are told apart by the word that follows."""
 
 
-def lines(event: Mapping[str, Any]) -> list[Text]:
-    """What the log gains by this event; nothing for what another event tells."""
+def lines(event: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> list[Text]:
+    """What the log gains by this event; nothing for what the event before it, a decision, has told with more numbers."""
     at = f"{event['t']:6.1f} "
     match event["event"]:
         case "request":
@@ -35,7 +35,7 @@ def lines(event: Mapping[str, Any]) -> list[Text]:
             return [Text(f"{at}  {event['status']}: {_moved(event)}", style="dim")]
         case "violation":
             return [Text(f"{at}! {sentence(event)}", style="bold red")]
-        case "announce":
+        case "announce" if before is None or before["event"] != "decision":
             return [Text(f"{at}{event['text']}", style="bold")]
         case "pair":
             why = f": {'; '.join(event['reasons'])}" if event.get("reasons") else ""

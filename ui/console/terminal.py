@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
 from rich.segment import Segment
+from rich.style import Style
 from textual.filter import LineFilter
 
 if TYPE_CHECKING:
@@ -56,6 +57,13 @@ _PLAIN = str.maketrans(
 
 class NoTerminalError(ValueError):
     """There is no terminal that a console can be drawn on; one sentence."""
+
+
+class Styled(LineFilter):
+    """Gives every segment a style: Textual's filter for NO_COLOR takes none without."""
+
+    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:  # noqa: ARG002
+        return [s if s.style is not None else Segment(s.text, Style.null(), s.control) for s in segments]
 
 
 class PlainSigns(LineFilter):
