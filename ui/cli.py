@@ -134,6 +134,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         hint = f"; did you mean {close[0]}?" if close else f"; {chosen.prog} --help lists what there is"
         kind = "option" if word.startswith("-") else "argument"
         chosen.error(f"{chosen.prog} has no {kind} {word}{hint}")
+    options.words = _joined(arguments)
     return options
 
 
@@ -156,6 +157,7 @@ def _parser() -> _Parser:
     parser.set_defaults(parser=parser, run=_run_nothing)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_console(commands)
+    _add_serve(commands)
     _add_run(commands)
     _add_sim(commands)
     _add_check(commands)
@@ -196,6 +198,21 @@ def _add_console(commands: Any) -> None:
         commands, "console", "ask by keys, voice and hands, and see it all (m3r alone does this)", _run_console
     )
     _add_flight(console)
+    console.add_argument("--seat", type=_typed(parse_file), help=argparse.SUPPRESS)  # of `m3r serve`
+
+
+def _add_serve(commands: Any) -> None:
+    served = _add(
+        commands, "serve", "show the console in a browser on this computer, to one operator at a time", _run_serve
+    )
+    served.add_argument("--port", type=_typed(_port), default=8000, metavar="PORT", help="TCP port on loopback (8000)")
+    _add_flight(served)
+
+
+def _port(text: str) -> int:
+    from ui.serve import parse_port
+
+    return parse_port(text)
 
 
 def _add_flight(run: _Parser) -> None:
@@ -288,7 +305,23 @@ def _run_nothing(_options: argparse.Namespace) -> int:
 def _run_console(options: argparse.Namespace) -> int:
     from ui.console.start import show
 
-    return show(_asked(options))
+    return show(_asked(options), options.seat)
+
+
+def _run_serve(options: argparse.Namespace) -> int:
+    from ui.serve import serve
+
+    _asked(options)  # what is wrong with them is told here, not in the browser
+    return serve(_without(options.words, "--port"), options.port)
+
+
+def _without(words: Sequence[str], option: str) -> list[str]:
+    """The words after the command's name, without an option and its value."""
+    kept = list(words[1:])
+    while option in kept:
+        at = kept.index(option)
+        del kept[at : at + 2]
+    return [word for word in kept if not word.startswith(f"{option}=")]
 
 
 def _run_run(options: argparse.Namespace) -> int:

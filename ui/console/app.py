@@ -5,7 +5,6 @@ It composes and shows; it decides nothing, and the run does not wait for it. Sou
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
 from collections import deque
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
 
     from m3r_app.live import Live
     from m3r_app.picture import Picture
+    from ui.console.seat import Seat
 
 REFRESH_S = 0.1
 DRAW_EVERY = 3
@@ -46,7 +46,6 @@ KEPT_EVENTS = 2000
 LOG_LINES = 1000
 TAKEOFF_M = 5.0
 """How high the console offers to take off, unless told otherwise."""
-ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 STOP_KEYS = ("space", "escape")
 DIGITS = "123456789"
 MOVES = (
@@ -400,10 +399,18 @@ class Console(App[None]):
     ]
 
     def __init__(
-        self, live: Live, inbox: deque[Mapping[str, Any]], *, dry_run: bool = False, takeoff_m: float | None = None
+        self,
+        live: Live,
+        inbox: deque[Mapping[str, Any]],
+        *,
+        dry_run: bool = False,
+        takeoff_m: float | None = None,
+        seat: Seat | None = None,
     ) -> None:
         super().__init__()
         self.live = live
+        self._seat = seat
+        self._started_by = os.getppid()
         self._filters.insert(0, Styled())
         self.plain = is_plain(os.environ)
         if self.plain:
@@ -413,15 +420,8 @@ class Console(App[None]):
     def on_mount(self) -> None:
         self.push_screen(self._flying)
         self.set_interval(REFRESH_S, self._end_with_the_run)
-        loop = asyncio.get_running_loop()
-        for name in ENDING:
-            loop.add_signal_handler(name, self._hang_up)
-        loop.add_signal_handler(signal.SIGTSTP, self._refuse_to_suspend)
-
-    def on_unmount(self) -> None:
-        loop = asyncio.get_running_loop()
-        for name in (*ENDING, signal.SIGTSTP):
-            loop.remove_signal_handler(name)
+        # Textual would suspend, and the guard would end a suspended app.
+        signal.signal(signal.SIGTSTP, lambda *_: self._refuse_to_suspend())
 
     async def on_event(self, event: events.Event) -> None:
         """STOP before whatever has the focus sees the key: a field to type in would keep even a binding from it."""
@@ -463,12 +463,14 @@ class Console(App[None]):
         """Ctrl-C: hold, and leave."""
         self.live.interrupt()
 
-    def _hang_up(self) -> None:
-        self.live.interrupt()
-
     def _refuse_to_suspend(self) -> None:
         self.notify("a drone may depend on this app, so it cannot be suspended: leave it with q", severity="warning")
 
     def _end_with_the_run(self) -> None:
+        picture = self.live.picture
+        if self._seat is not None and picture is not None:
+            self._seat.tell(picture.state.session.colour if picture.state.session is not None else None)
+        if os.getppid() != self._started_by:
+            self.live.interrupt()  # who shows us elsewhere has died: nobody sees this screen any more
         if self.live.ended:
             self.exit()

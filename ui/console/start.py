@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.live import Live
 from ui.console.app import KEPT_EVENTS, Console
+from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal
 from ui.narrator import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from m3r_app.options import RunOptions
 
+ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
+"""The terminal is gone, or somebody wants the end: the drone is left in Hold first."""
 
-def show(options: RunOptions) -> int:
-    """Fly one run from the console; returns the exit status. Raises what names bad input or a missing vehicle."""
+
+def show(options: RunOptions, seat_path: Path | None = None) -> int:
+    """Fly one run from the console; returns the exit status. seat_path: only one console may sit there at a time.
+
+    Raises what names bad input or a missing vehicle.
+    """
     require_terminal(os.environ)
+    if seat_path is None:
+        return _fly(options, None)
+    with Seat(seat_path) as seat:
+        if seat.taken:
+            return _fly(options, seat)
+        with own_screen(log_path()):
+            Occupied(seat).run()
+    return 0
+
+
+def _fly(options: RunOptions, seat: Seat | None) -> int:
     events: deque[Mapping[str, Any]] = deque(maxlen=KEPT_EVENTS)
     ended: list[str] = []
 
@@ -29,11 +49,12 @@ def show(options: RunOptions) -> int:
             ended.append(sentence(event) or "")
 
     live = Live(options, take)
-    log = log_path()
-    with own_screen(log):
+    for name in ENDING:
+        signal.signal(name, lambda *_: live.interrupt())
+    with own_screen(log_path()):
         live.start()
         try:
-            Console(live, events, dry_run=options.dry_run, takeoff_m=options.takeoff_m).run()
+            Console(live, events, dry_run=options.dry_run, takeoff_m=options.takeoff_m, seat=seat).run()
         finally:
             # Whatever became of the screen, the drone is left in Hold.
             live.interrupt()
