@@ -36,7 +36,7 @@ ELSEWHERE = re.compile(r'<link[^>]*href="https?://[^>]*>')
 FOCUS = """<script>
 const look = setInterval(() => {
   const keyboard = document.querySelector("textarea");
-  if (keyboard) { keyboard.focus(); clearInterval(look); }
+  if (keyboard && document.body.classList.contains("-first-byte")) { keyboard.focus(); clearInterval(look); }
 }, 100);
 </script>"""
 

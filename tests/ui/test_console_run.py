@@ -79,7 +79,7 @@ class Terminal:
 def moving(fleet: Simulated) -> Callable[[], bool]:
     def is_moving() -> bool:
         state = fleet.last("red")
-        return bool(state["mode"] == "OFFBOARD" and sum(v * v for v in state["velocity"]) > 0.04)
+        return bool(state["mode"] == "OFFBOARD" and sum(v * v for v in state["velocity_m_s"]) > 0.04)
 
     return is_moving
 
@@ -95,7 +95,7 @@ def test_a_flight_by_keys_and_a_terminal_that_is_lost(tmp_path: Path) -> None:
         screen.type("\x1b[D")  # left
         screen.until(moving(fleet), "moving")
         screen.hang_up()
-        fleet.wait("red", mode="HOLD")
+        fleet.wait("red", mode="LOITER")
         assert screen.wait() == 130
 
 
@@ -193,11 +193,11 @@ def test_in_a_browser_one_operator_flies_and_a_second_tab_is_told_who(tmp_path: 
             second, told = opened()
             until(second, lambda: "flies Red" in "".join(told), "told who flies")
             second.keyboard.press("ArrowLeft")  # the second tab's keys reach no drone
-            assert fleet.last("red")["mode"] in ("HOLD", "OFFBOARD")
+            assert fleet.last("red")["mode"] in ("LOITER", "OFFBOARD")
             first.keyboard.press("ArrowLeft")
             until(first, moving(fleet), "moving")
             first.close()  # the operator is gone
-            until(second, lambda: fleet.last("red")["mode"] == "HOLD", "held")
+            until(second, lambda: fleet.last("red")["mode"] == "LOITER", "held")
             browser.close()
         assert faults == []
 

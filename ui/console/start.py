@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import termios
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
@@ -55,9 +56,14 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
         live.start()
         try:
             Console(live, events, dry_run=options.dry_run, takeoff_m=options.takeoff_m, seat=seat).run()
+        except (OSError, termios.error):
+            live.interrupt()  # the terminal is gone
         finally:
             # Whatever became of the screen, the drone is left in Hold.
             live.interrupt()
             status = live.result()
-    print("\n".join(ended))
+    try:
+        print("\n".join(ended), flush=True)
+    except OSError:  # nobody is there any more to read it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     return status
