@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +23,8 @@ from m3r_app.shell import request_event
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 PICTURE_S = 0.1
+SWITCH_S = 0.0005
+"""How long a thread that draws may keep the interpreter from the control loop; Python's default is 5 ms."""
 END_S = 30.0
 """Longer than every step of an orderly end together."""
 
@@ -46,6 +50,7 @@ class Live:
         self._thread = threading.Thread(target=self._live, name="m3r", daemon=True)
 
     def start(self) -> None:
+        sys.setswitchinterval(SWITCH_S)
         self._thread.start()
 
     @property
@@ -118,6 +123,7 @@ class Live:
         except BaseException as failure:  # noqa: BLE001  (it belongs to whoever waits for the result)
             self._failure = failure
         finally:
+            gc.collect()
             self._ended.set()
 
     async def _whole(self) -> int:
@@ -131,6 +137,8 @@ class Live:
             return await run.whole()
         finally:
             watching.cancel()
+            # MAVSDK's objects end here, where they began, and not when the interpreter does.
+            self._run = self._ground = None
 
     async def _watch(self, run: Run) -> None:
         while True:

@@ -8,6 +8,7 @@ import pty
 import re
 import select
 import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -97,6 +98,17 @@ def test_a_flight_by_keys_and_a_terminal_that_is_lost(tmp_path: Path) -> None:
         screen.hang_up()
         fleet.wait("red", mode="LOITER")
         assert screen.wait() == 130
+
+
+def test_a_terminal_that_takes_nothing_any_more_does_not_keep_the_process(tmp_path: Path) -> None:
+    """The screen is full of what nobody reads when the hang-up comes: the thread that draws is stuck for ever."""
+    screen = Terminal("console", "--scenario", str(HILLSIDE))
+    screen.until(lambda: "no drone paired" in screen.words, "a picture")
+    os.kill(screen.process_id, signal.SIGSTOP)
+    for signals in (signal.SIGHUP, signal.SIGCONT):
+        os.kill(screen.process_id, signals)
+    screen.hang_up()
+    assert screen.wait() == 130
 
 
 def test_leaving_is_asked_and_ends_normally(tmp_path: Path) -> None:

@@ -410,7 +410,6 @@ class Console(App[None]):
         super().__init__()
         self.live = live
         self._seat = seat
-        self._started_by = os.getppid()
         self._filters.insert(0, Styled())
         self.plain = is_plain(os.environ)
         if self.plain:
@@ -470,7 +469,5 @@ class Console(App[None]):
         picture = self.live.picture
         if self._seat is not None and picture is not None:
             self._seat.tell(picture.state.session.colour if picture.state.session is not None else None)
-        if os.getppid() != self._started_by:
-            self.live.interrupt()  # who shows us elsewhere has died: nobody sees this screen any more
         if self.live.ended:
             self.exit()

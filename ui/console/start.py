@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import termios
+import threading
+import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +23,10 @@ if TYPE_CHECKING:
 
     from m3r_app.options import RunOptions
 
+LOOK_MS = 500
+LEAVE_S = 5.0
+"""The screen has so long to go after the run has ended."""
+GONE = 1
 ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 """The terminal is gone, or somebody wants the end: the drone is left in Hold first."""
 
@@ -40,6 +47,25 @@ def show(options: RunOptions, seat_path: Path | None = None) -> int:
     return 0
 
 
+def _watch(live: Live) -> None:
+    """End the run when nobody sees the screen any more, and the process when a screen that is gone keeps it.
+
+    Textual's writing thread dies of a terminal that is lost, and what draws then waits for it for ever.
+    """
+    terminal = select.poll()
+    terminal.register(0, 0)  # only a hang-up or an error
+    while not live.ended:
+        if terminal.poll(LOOK_MS):
+            live.interrupt()
+            break
+    try:
+        status = live.result()
+    except Exception:  # noqa: BLE001  (whoever is not stuck tells of it)
+        status = GONE
+    time.sleep(LEAVE_S)
+    os._exit(status)
+
+
 def _fly(options: RunOptions, seat: Seat | None) -> int:
     events: deque[Mapping[str, Any]] = deque(maxlen=KEPT_EVENTS)
     ended: list[str] = []
@@ -52,6 +78,7 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
     live = Live(options, take)
     for name in ENDING:
         signal.signal(name, lambda *_: live.interrupt())
+    threading.Thread(target=_watch, args=(live,), name="terminal", daemon=True).start()
     with own_screen(log_path()):
         live.start()
         try:
