@@ -21,6 +21,7 @@ from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.ground import ground_about
 from m3r_app.guard import Guard
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.modes import State
@@ -33,6 +34,7 @@ from m3r_app.recorder import Recorder
 from m3r_app.shell import Recording, Shell, request_event
 from m3r_app.vehicle import VehicleError
 from modalities.gestures import Hand
+from safety.vocabulary import Ned
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
 """Exit statuses of the contract; the highest that applies."""
@@ -192,6 +194,9 @@ class Run:
             "origin": setting.frame.origin,
             "world": setting.world,
             "models": list(inputs.models),
+            "ground": ground_about(
+                setting.world, setting.operator.position if setting.operator else Ned(0.0, 0.0, 0.0)
+            ),
         }
         return Recorder(self.options.record, metadata, self._say_soon)
 

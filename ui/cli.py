@@ -163,6 +163,7 @@ def _parser() -> _Parser:
     _add_check(commands)
     _add_models(commands)
     _add_evaluate(commands)
+    _add_report(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram", _run_modes)
     return parser
 
@@ -296,6 +297,12 @@ def _add_evaluate(commands: Any) -> None:
     _add_settings(evaluate)
 
 
+def _add_report(commands: Any) -> None:
+    report = _add(commands, "report", "tell a recorded flight on one page (HTML)", _run_report)
+    report.add_argument("record", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
+    report.add_argument("--out", type=_typed(parse_file), metavar="PAGE", help="the page (FILE with .html)")
+
+
 def _run_nothing(_options: argparse.Namespace) -> int:
     from ui.console.start import show
 
@@ -387,6 +394,16 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from ui.models import evaluate
 
     evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture)
+    return 0
+
+
+def _run_report(options: argparse.Namespace) -> int:
+    from ui.report import write_report
+
+    page, broken = write_report(options.record, options.out)
+    if broken is not None:
+        _say(broken)
+    print(page)
     return 0
 
 
