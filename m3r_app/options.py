@@ -63,9 +63,16 @@ class RunOptions:
     """Decide and tell, but fly nothing of what is asked."""
     plain: bool = False
     """Every event one sentence, for screen readers and logs."""
+    spoken: bool | None = None
+    """Whether short cues are spoken; None: unless `headless` or `plain`."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None
+
+    @property
+    def aloud(self) -> bool:
+        """Whether cues are spoken."""
+        return self.spoken if self.spoken is not None else not (self.headless or self.plain)
 
 
 def parse_colour(text: str) -> str:

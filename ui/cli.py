@@ -219,6 +219,14 @@ def _add_run(commands: Any) -> None:
         action="store_true",
         help="say what each request would become, and fly none (pairing still turns the drone to you)",
     )
+    sound = run.add_mutually_exclusive_group()
+    sound.add_argument("--quiet", dest="spoken", action="store_false", default=None, help="no spoken cues, no bell")
+    sound.add_argument(
+        "--speak",
+        dest="spoken",
+        action="store_true",
+        help="spoken cues with --headless and --plain too, quiet otherwise",
+    )
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
 
@@ -287,16 +295,30 @@ def _run_run(options: argparse.Namespace) -> int:
         apply_failsafe=options.apply_failsafe,
         dry_run=options.dry_run,
         plain=options.plain,
+        spoken=options.spoken,
         record=options.record,
         timeout_s=options.timeout,
     )
     import asyncio
+    from contextlib import ExitStack
 
     from m3r_app.app import run
+    from modalities.own_voice import OwnVoice
+    from ui.cues import Cues
     from ui.output import Output
+    from ui.speaker import Speaker
 
-    with Output(headless=asked.headless, plain=asked.plain) as output:
-        return asyncio.run(run(asked, output.emit))
+    own_voice = OwnVoice()
+    with ExitStack() as stack:
+        output = stack.enter_context(Output(headless=asked.headless, plain=asked.plain))
+        speaker = stack.enter_context(Speaker(Cues(dry_run=asked.dry_run).of, own_voice, _say)) if asked.aloud else None
+
+        def emit(event: dict[str, object]) -> None:
+            output.emit(event)
+            if speaker is not None:
+                speaker.hear(event)
+
+        return asyncio.run(run(asked, emit, own_voice))
 
 
 def _run_sim(options: argparse.Namespace) -> int:
