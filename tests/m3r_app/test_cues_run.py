@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,19 +19,14 @@ from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, mis
 from tests.whole import PATIENCE_S, PLAIN, App
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
-PROGRAM = """#!/bin/sh
-{espeak} "$@" || exit
-touch {folder}/spoken
-while [ -e {folder}/hold ]; do sleep 0.02; done
+HELD = "Red: paired"
+PROGRAM = f"""#!/bin/sh
+text=$(cat)
+echo "$text" | {{espeak}} "$@" || exit
+echo "$text" >> {{folder}}/spoken
+while [ "$text" = "{HELD}" ]; do sleep 0.05; done
 """
-"""espeak-ng, whose utterances last until they may end."""
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+"""espeak-ng, of which one utterance goes on in silence until it is cut off."""
 
 
 @pytest.fixture
@@ -58,26 +53,28 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundSer
 
 
 def test_while_a_cue_is_spoken_only_stop_is_heard(server: SoundServer, tmp_path: Path) -> None:
-    def say(name: str, after_s: float = 0.4) -> None:
+    def say(name: str, after_s: float = 0.3) -> None:
         server.play(np.concatenate([quiet(after_s), read_audio(RECORDINGS / name), quiet(0.6)]))
 
-    hold, spoken, record = tmp_path / "hold", tmp_path / "spoken", tmp_path / "flight.mcap"
+    def has_been_spoken(cue: str) -> None:
+        file = tmp_path / "spoken"
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (file.exists() and cue in file.read_text().splitlines()):
+            assert time.monotonic() < deadline_s, cue
+            time.sleep(0.02)
+
+    record = tmp_path / "flight.mcap"
     command = ["run", "--headless", "--speak", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60"]
     app = App([*command, "--audio", f"mic:{MICROPHONE}", "--record", str(record)])
-    app.until("pair", status="requested")
-    hold.touch()
-    app.until("pair", status="confirmed")  # "Red: paired" is being spoken, for as long as it is held
+    app.until("pair", status="confirmed")
+    has_been_spoken(HELD)
     say("go_left/go-left_0.ogg")
     app.until("announce", text='"go left" was heard while a cue was spoken and does not count: say it again')
-    spoken.unlink()
     say("stop/stop_0.ogg")
     app.until("request", command="stop")
-    until(spoken.exists)  # "Red: holding", which cut off what was being spoken
-    hold.unlink()
-    spoken.unlink()
-    say("go_up/go-up_0.ogg", after_s=TAIL_S + 0.6)  # what is said sooner belongs to the cue
+    has_been_spoken("Red: holding")  # it has cut off what was being spoken
+    say("go_up/go-up_0.ogg", TAIL_S + 0.6)  # what is said sooner belongs to the cue
     app.until("motion", status="started")
-    until(spoken.exists)  # "Red: up, fifty centimetres"
     app.process.terminate()
     ran = app.finish()
     assert [r["command"] for r in ran.of("request")] == ["stop", "go_up"]
