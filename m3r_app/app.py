@@ -34,6 +34,7 @@ from m3r_app.recorder import Recorder
 from m3r_app.shell import Recording, Shell, request_event
 from m3r_app.vehicle import VehicleError
 from modalities.gestures import Hand
+from modalities.own_voice import OwnVoice
 from safety.vocabulary import Ned
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
@@ -57,12 +58,13 @@ class VehicleLost(Exception):  # noqa: N818
     """The paired drone fell silent."""
 
 
-async def run(options: RunOptions, emit: Emit) -> int:
+async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> int:
     """Fly one run; returns the exit status. `emit` takes the objects of the machine-readable output.
 
+    own_voice: when whoever speaks for us did, by `time.monotonic`; a live microphone hears it too.
     Raises what names bad input (ValueError) or a missing vehicle (VehicleError), after the `end` object.
     """
-    one = Run(options, emit)
+    one = Run(options, emit, own_voice)
     loop = asyncio.get_running_loop()
     for name in ENDING:
         loop.add_signal_handler(name, one.interrupted.set)
@@ -78,12 +80,13 @@ async def run(options: RunOptions, emit: Emit) -> int:
 class Run:
     """The life of one run, in the event loop that it is made in. `interrupted` ends it in order; `run` has signals do that."""
 
-    def __init__(self, options: RunOptions, emit: Emit) -> None:
+    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
         self.options = options
         self.setting: Setting | None = None
         """Once it is known."""
         self.senses = Taken()
         """What the modalities take in."""
+        self._own_voice = own_voice
         self.clock = time.monotonic
         self.started_s = self.clock()
         self._loop = asyncio.get_running_loop()
@@ -159,7 +162,9 @@ class Run:
         async with AsyncExitStack() as stack:
             setting = self.setting = await _in_thread(lambda: prepare(self.options))
             inputs = await _in_thread(
-                lambda: open_inputs(self.options, setting.colours, setting.settings, self.clock, self._say_soon)
+                lambda: open_inputs(
+                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._own_voice
+                )
             )
             stack.callback(inputs.close)
             for sentence in inputs.sentences:

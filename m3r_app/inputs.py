@@ -17,6 +17,7 @@ from typing import Protocol, TypeVar
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
 from modalities.gestures import Hand
+from modalities.own_voice import OwnVoice
 from modalities.push_to_talk import PushToTalk
 from modalities.script import ScriptedRequest, read_script
 from safety.vocabulary import ManeuverRequest
@@ -27,6 +28,7 @@ Told = Callable[[str], None]
 Clock = Callable[[], float]
 TAIL_S = 1.0
 """Quiet after a recording, so that its last words end."""
+WHILE_SPOKEN = "heard while a cue was spoken"
 
 
 class InputError(ValueError):
@@ -111,9 +113,11 @@ class Voice:
         clock: Clock,
         say: Told,
         talking: Callable[[], bool] | None = None,
+        own_voice: OwnVoice | None = None,
     ) -> None:
         """say: told, from any thread, what becomes of a microphone; talking: push-to-talk, None for a microphone that is
-        always open. Raises AudioError, ModelError, MicrophoneError.
+        always open; own_voice: when the app spoke, which a microphone hears. Raises AudioError, ModelError,
+        MicrophoneError.
         """
         # Heavy, and not needed for scripts alone.
         import numpy as np
@@ -125,6 +129,7 @@ class Voice:
         from modalities.voice import Recognizer, load_model
 
         self._say = say
+        self._own_voice = own_voice if isinstance(source, LiveMicrophone) else None
         self._stream: _Stream | None = None
         self._microphone: Microphone | None = None
         if isinstance(source, Path):
@@ -150,6 +155,11 @@ class Voice:
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[Exception | None] = loop.create_future()
         microphone = self._microphone
+
+        def dropped(words: str) -> None:
+            _post(loop, senses.words, f"{words} ({WHILE_SPOKEN})")
+            self._say(f'"{words}" was {WHILE_SPOKEN} and does not count: say it again')
+
         self._stream = VoiceStream(
             chunks(self._samples) if microphone is None else microphone.chunks(),
             self._recognizer,
@@ -159,6 +169,8 @@ class Voice:
             on_partial=lambda words: _post(loop, senses.words, words),
             on_level=lambda level: _post(loop, senses.level_dbfs, level),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
+            own_voice=self._own_voice,
+            on_dropped=dropped,
         )
         error = await _played(self._stream, ended)
         if microphone is not None:
@@ -292,8 +304,18 @@ def _key(talk: PushToTalk, options: RunOptions) -> str:
     )
 
 
-def open_inputs(options: RunOptions, colours: tuple[str, ...], settings: Settings, clock: Clock, say: Told) -> Inputs:
-    """Read and load everything that is to be played. Raises ScriptError, AudioError, VideoError, ModelError: one sentence."""
+def open_inputs(
+    options: RunOptions,
+    colours: tuple[str, ...],
+    settings: Settings,
+    clock: Clock,
+    say: Told,
+    own_voice: OwnVoice | None = None,
+) -> Inputs:
+    """Read and load everything that is to be played. own_voice: when the app itself spoke, by the same clock.
+
+    Raises ScriptError, AudioError, VideoError, ModelError: one sentence.
+    """
     from modalities.audio_devices import MicrophoneError
 
     script = read_script(options.script, colours) if options.script is not None else ()
@@ -305,7 +327,7 @@ def open_inputs(options: RunOptions, colours: tuple[str, ...], settings: Setting
             talk = (
                 PushToTalk(say) if settings.voice.push_to_talk and isinstance(options.audio, LiveMicrophone) else None
             )
-            voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None)
+            voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None, own_voice)
             sentences += voice.sentences
             if talk is not None:
                 sentences.append(_key(talk, options))

@@ -65,9 +65,16 @@ class RunOptions:
     """Every event one sentence, for screen readers and logs."""
     console: bool = False
     """Somebody sits at the console: the run goes on until they end it, played inputs or not."""
+    spoken: bool | None = None
+    """Whether short cues are spoken; None: unless `headless` or `plain`."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None
+
+    @property
+    def aloud(self) -> bool:
+        """Whether cues are spoken."""
+        return self.spoken if self.spoken is not None else not (self.headless or self.plain)
 
 
 def parse_colour(text: str) -> str:

@@ -92,5 +92,6 @@ def violation(breach: Breach, action: str) -> Report:
             "constraint": breach.constraint,
             "margin": breach.margin,
             "action": action,
+            "text": breach.text,
         },
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,7 @@ class Heard:
     """A request candidate. Times are those of the recording; the caller adds its clock's and its processing time.
 
     confidence: calibrated, 0 to 1 (see `confidence_of`). captured_at_s: the end of the voice; made_at_s: capture time of
-    the chunk that completed it.
+    the chunk that completed it; began_at_s: capture time of the chunk in which the utterance began.
     """
 
     command: Command
@@ -67,6 +67,7 @@ class Heard:
     text: str
     captured_at_s: float
     made_at_s: float
+    began_at_s: float = -math.inf
 
 
 class Ear:
@@ -221,7 +222,7 @@ class Recognizer:
     def _stop(self, now_s: float, confidence: float = 1.0) -> Heard:
         self._stopped = True
         text = self._commands.partial or STOP_WORD
-        return Heard(Command.STOP, None, confidence, text, self._voice_end_s(now_s), now_s)
+        return Heard(Command.STOP, None, confidence, text, self._voice_end_s(now_s), now_s, self._began_s)
 
     def _voice_end_s(self, now_s: float) -> float:
         """The voice's end; where the level shows none, when the partial result last changed."""
@@ -238,12 +239,12 @@ class Recognizer:
         return bool(partial) and not unfinished and now_s - self._changed_s >= SETTLED_S
 
     def _close(self, now_s: float) -> list[Heard]:
-        end_s = self._voice_end_s(now_s)
+        end_s, began_s = self._voice_end_s(now_s), min(self._began_s, now_s)
         spoken = self._voice.has_spoken
         utterance = self._utterance
         commands, words = self._commands.close(), self._words.close()
         stopped = self._stopped
-        holed = self._hole_s >= min(self._began_s, now_s) - BEFORE_VOICE_S
+        holed = self._hole_s >= began_s - BEFORE_VOICE_S
         self._begin_utterance()
         if stopped:  # the rest of an utterance with STOP asks for nothing
             return []
@@ -257,7 +258,7 @@ class Recognizer:
                 heard = second
         if holed and heard is not None and heard.command is not Command.STOP:
             return []
-        return [heard] if heard is not None else []
+        return [replace(heard, began_at_s=began_s)] if heard is not None else []
 
     def _understood(
         self, commands: list[Hypothesis], words: list[Hypothesis], end_s: float, now_s: float

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterable
 
 from modalities.audio import Chunk, Gap
 from modalities.capture import level_dbfs
+from modalities.own_voice import OwnVoice
 from modalities.voice import Heard, Recognizer
-from safety.vocabulary import ManeuverRequest, Modality
+from safety.vocabulary import Command, ManeuverRequest, Modality
 
 Clock = Callable[[], float]
 
@@ -31,10 +32,15 @@ class VoiceStream:
         on_partial: Callable[[str], None] = lambda _text: None,
         on_level: Callable[[float], None] = lambda _level_dbfs: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
+        own_voice: OwnVoice | None = None,
+        on_dropped: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change.
         on_level: how loud each chunk is, in dB below full scale. on_end: called last,
         once, with the error that ended the stream, or None where the recording was played or `stop` was called.
+
+        own_voice: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
+        to on_dropped.
         """
         self._chunks = chunks
         self._recognizer = recognizer
@@ -44,6 +50,8 @@ class VoiceStream:
         self._on_partial = on_partial
         self._on_level = on_level
         self._on_end = on_end
+        self._own_voice = own_voice
+        self._on_dropped = on_dropped
         self._stopping = threading.Event()
         self._made = 0
         self._thread = threading.Thread(target=self._run, name="voice", daemon=True)
@@ -90,6 +98,9 @@ class VoiceStream:
 
     def _hand_over(self, heard: list[Heard]) -> None:
         for one in heard:
+            if self._is_own(one):
+                self._on_dropped(one.text)
+                continue
             self._made += 1
             self._on_request(
                 ManeuverRequest(
@@ -103,3 +114,9 @@ class VoiceStream:
                     colour=one.colour,
                 )
             )
+
+    def _is_own(self, one: Heard) -> bool:
+        """Whether it may be what the app itself said. The app never says *stop*, so STOP is the operator's."""
+        if self._own_voice is None or one.command is Command.STOP:
+            return False
+        return self._own_voice.overlaps(self._began_s + one.began_at_s, self._began_s + one.captured_at_s)

@@ -22,6 +22,7 @@ from modalities.models import ModelError, find_model
 from ui.check_devices import cameras, microphones
 from ui.check_mirror import mirror
 from ui.findings import Finding, State, Wanted, module, parts_of, shown, silence
+from ui.speaker import PROGRAM
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -79,6 +80,13 @@ def _libraries(_wanted: Wanted) -> Iterator[Finding]:
             yield Finding(package, State.MISSING, f"no {library}, which {use} need", f"run: sudo apt install {package}")
         else:
             yield Finding(package, State.WORKS, f"{library}, for {use}")
+
+
+def _cues(_wanted: Wanted) -> Iterator[Finding]:
+    if shutil.which(PROGRAM):
+        yield Finding("spoken cues", State.WORKS, f"{PROGRAM} is here")
+    else:
+        yield Finding("spoken cues", State.WEAK, f"no {PROGRAM}: only a bell", f"run: sudo apt install {PROGRAM}")
 
 
 def _fetching(_wanted: Wanted) -> Iterator[Finding]:
@@ -178,6 +186,7 @@ async def _answer(colour: str, url: str) -> Finding:
 PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("machine", _machine),
     ("libraries", _libraries),
+    ("spoken cues", _cues),
     ("fetching", _fetching),
     ("voice model", _voice_model),
     ("hand model", _hand_model),

@@ -250,6 +250,14 @@ def _add_flight(run: _Parser) -> None:
         action="store_true",
         help="say what each request would become, and fly none (pairing still turns the drone to you)",
     )
+    sound = run.add_mutually_exclusive_group()
+    sound.add_argument("--quiet", dest="spoken", action="store_false", default=None, help="no spoken cues, no bell")
+    sound.add_argument(
+        "--speak",
+        dest="spoken",
+        action="store_true",
+        help="spoken cues with --headless and --plain too, quiet otherwise",
+    )
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
 
@@ -336,10 +344,16 @@ def _run_run(options: argparse.Namespace) -> int:
     import asyncio
 
     from m3r_app.app import run
+    from modalities.own_voice import OwnVoice
     from ui.output import Output
+    from ui.speaker import speaking
 
-    with Output(headless=asked.headless, plain=asked.plain) as output:
-        return asyncio.run(run(asked, output.emit))
+    own_voice = OwnVoice()
+    with (
+        Output(headless=asked.headless, plain=asked.plain) as output,
+        speaking(asked, own_voice, _say, output.emit) as emit,
+    ):
+        return asyncio.run(run(asked, emit, own_voice))
 
 
 def _asked(options: argparse.Namespace) -> RunOptions:
@@ -356,6 +370,7 @@ def _asked(options: argparse.Namespace) -> RunOptions:
         takeoff_m=options.takeoff,
         apply_failsafe=options.apply_failsafe,
         dry_run=options.dry_run,
+        spoken=options.spoken,
         record=options.record,
         timeout_s=options.timeout,
     )

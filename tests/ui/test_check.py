@@ -89,6 +89,14 @@ def test_missing_libraries_are_named_by_their_package(monkeypatch: pytest.Monkey
     assert found("libraries")[0].remedy == "run: sudo apt install libportaudio2"
 
 
+@pytest.mark.parametrize(("here", "state"), [("/usr/bin/espeak-ng", State.WORKS), (None, State.WEAK)])
+def test_cues_are_spoken_where_the_program_is(here: str | None, state: State, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_module.shutil, "which", lambda _program: here)
+    (one,) = found("spoken cues")
+    assert one.state is state
+    assert one.remedy == (None if here else "run: sudo apt install espeak-ng")
+
+
 def test_no_voice_model_says_how_to_get_one(no_model: None) -> None:
     (one,) = found("voice model")
     assert one == Finding(

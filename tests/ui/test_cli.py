@@ -37,7 +37,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Any:
     def ask(*words: str) -> RunOptions:
         taken: list[RunOptions] = []
 
-        async def run(options: RunOptions, _emit: object) -> int:
+        async def run(options: RunOptions, *_: object) -> int:
             taken.append(options)
             return 0
 
@@ -93,6 +93,11 @@ def test_every_option(asked: Any) -> None:
         record=Path("r.mcap"),
         timeout_s=60.0,
     )
+
+
+@pytest.mark.parametrize(("words", "spoken"), [("--quiet", False), ("--speak", True)])
+def test_cues(asked: Any, words: str, spoken: bool) -> None:
+    assert asked(words) == RunOptions(spoken=spoken)
 
 
 def test_no_audio(asked: Any) -> None:

@@ -12,10 +12,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.live import Live
+from modalities.own_voice import OwnVoice
 from ui.console.app import KEPT_EVENTS, Console
 from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal
 from ui.narrator import sentence
+from ui.speaker import speaking
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -75,7 +77,21 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
         if event["event"] == "end":
             ended.append(sentence(event) or "")
 
-    live = Live(options, take)
+    def trouble(text: str) -> None:
+        take({"t": time.monotonic() - began_s, "event": "announce", "text": text})
+
+    own_voice, began_s = OwnVoice(), time.monotonic()
+    with speaking(options, own_voice, trouble, take) as emit:
+        status = _shown(options, Live(options, emit, own_voice), events, seat)
+    try:
+        print("\n".join(ended), flush=True)
+    except OSError:  # nobody is there any more to read it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return status
+
+
+def _shown(options: RunOptions, live: Live, events: deque[Mapping[str, Any]], seat: Seat | None) -> int:
+    """The run with its screen, to the end of both."""
     for name in ENDING:
         signal.signal(name, lambda *_: live.interrupt())
     threading.Thread(target=_watch, args=(live,), name="terminal", daemon=True).start()
@@ -89,8 +105,4 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
             # Whatever became of the screen, the drone is left in Hold.
             live.interrupt()
             status = live.result()
-    try:
-        print("\n".join(ended), flush=True)
-    except OSError:  # nobody is there any more to read it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     return status
