@@ -18,6 +18,7 @@ import vosk
 from modalities.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, quiet
 from modalities.models import ModelError
 from modalities.phrases import OTHER_WORDS, STOP_RIVALS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
+from modalities.stop_through import StopThrough
 from modalities.voice_end import VoiceEnd
 from safety.vocabulary import Command
 
@@ -135,6 +136,8 @@ class Recognizer:
         self._table = table
         rivals = tuple(word for word in STOP_RIVALS if known[word])
         self._commands = Ear(model, (*phrases, *rivals, *unknown))
+        self._apart = Ear(model, (*phrases, *rivals, *unknown))
+        self._stop_through = StopThrough(self._stop_apart)
         self._words = Ear(model, (*phrases, *single, *unknown))
         self._voice = VoiceEnd()
         self._hole_s = -math.inf
@@ -142,6 +145,7 @@ class Recognizer:
         self._fresh: bool
         self._utterance: Samples
         self._room = np.random.default_rng(0)  # seeded: the same recording is always heard the same
+        self._other_room = np.random.default_rng(1)
         self._begin_utterance()
 
     @property
@@ -149,8 +153,11 @@ class Recognizer:
         """What the current utterance has been so far, for the operator to see."""
         return self._words.partial
 
-    def accept(self, chunk: Chunk) -> list[Heard]:
-        """Take the next chunk (16 kHz mono 16-bit); the request candidates that it completes, usually none."""
+    def accept(self, chunk: Chunk, *, own_voice: bool = False) -> list[Heard]:
+        """Take the next chunk (16 kHz mono 16-bit); the request candidates that it completes, usually none.
+
+        own_voice: the app itself is speaking, through which STOP must be heard.
+        """
         now_s = chunk.captured_at_s
         before = self._commands.partial
         self._voice.accept(chunk.samples, now_s)
@@ -162,7 +169,7 @@ class Recognizer:
             self._changed_s = now_s
         if not math.isfinite(self._began_s) and (self._voice.has_spoken or self.partial):
             self._began_s = now_s
-        heard = [self._stop(now_s)] if self._stop_stands() else []
+        heard = [self._stop(now_s)] if self._stop_stands() or self._comes_through(chunk, own_voice) else []
         if self._is_over(now_s):
             heard += self._close(now_s)
         return heard
@@ -198,8 +205,7 @@ class Recognizer:
         if self._fresh:
             samples = np.concatenate([quiet(LEAD_IN_S), samples])
             self._fresh = False
-        noisy = samples + self._room.normal(0.0, noise, len(samples))
-        return np.clip(np.rint(noisy), -32768, 32767).astype(np.int16).tobytes()
+        return _noisy(samples, self._room, noise)
 
     def _begin_utterance(self) -> None:
         self._fresh = True
@@ -219,9 +225,22 @@ class Recognizer:
         words = self._words.partial.split()
         return STOP_WORD in words or len(words) <= partial.index(STOP_WORD)
 
+    def _comes_through(self, chunk: Chunk, own_voice: bool) -> bool:
+        """STOP, said while the app speaks."""
+        if not own_voice or self._stopped:
+            self._stop_through.forget()
+            return False
+        return self._stop_through.accept(chunk.samples)
+
+    def _stop_apart(self, samples: Samples) -> bool:
+        heard = np.concatenate([quiet(LEAD_IN_S), samples])
+        best = self._apart.hear_again(_noisy(heard, self._other_room, ROOM_NOISE))
+        return bool(best) and contains_stop(best[0].text)
+
     def _stop(self, now_s: float, confidence: float = 1.0) -> Heard:
         self._stopped = True
-        text = self._commands.partial or STOP_WORD
+        text = self._commands.partial
+        text = text if contains_stop(text) else STOP_WORD
         return Heard(Command.STOP, None, confidence, text, self._voice_end_s(now_s), now_s, self._began_s)
 
     def _voice_end_s(self, now_s: float) -> float:
@@ -284,6 +303,11 @@ class Recognizer:
             if phrase is not None and any(self._table.interpret(h.text) == phrase for h in commands):
                 return phrase, text
         return None, ""
+
+
+def _noisy(samples: Samples, room: np.random.Generator, noise: float) -> bytes:
+    noisy = samples + room.normal(0.0, noise, len(samples))
+    return np.clip(np.rint(noisy), -32768, 32767).astype(np.int16).tobytes()
 
 
 # How sure to be: logistic regression of "this phrase was said" on what the two ears say, fitted on single-word and joined

@@ -89,7 +89,7 @@ class VoiceStream:
                 self._recognizer.gap(chunk)
             else:
                 self._on_level(level_dbfs(chunk.samples))
-                self._hand_over(self._recognizer.accept(chunk))
+                self._hand_over(self._recognizer.accept(chunk, own_voice=self._speaks(heard_s, heard_s)))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial
                 self._on_partial(partial)
@@ -117,6 +117,9 @@ class VoiceStream:
 
     def _is_own(self, one: Heard) -> bool:
         """Whether it may be what the app itself said. The app never says *stop*, so STOP is the operator's."""
-        if self._own_voice is None or one.command is Command.STOP:
-            return False
-        return self._own_voice.overlaps(self._began_s + one.began_at_s, self._began_s + one.captured_at_s)
+        return one.command is not Command.STOP and self._speaks(one.began_at_s, one.captured_at_s)
+
+    def _speaks(self, from_s: float, to_s: float) -> bool:
+        """Whether the app itself spoke then, in the chunks' time."""
+        own = self._own_voice
+        return own is not None and own.overlaps(self._began_s + from_s, self._began_s + to_s)

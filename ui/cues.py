@@ -34,15 +34,15 @@ class Cue:
 
 
 _WORD: dict[str, tuple[str, str]] = {
-    "go_left": ("left", "not left"),
-    "go_right": ("right", "not right"),
-    "go_forward": ("forward", "not forward"),
-    "go_back": ("back", "not back"),
-    "go_up": ("up", "not up"),
-    "go_down": ("down", "not down"),
-    "turn_left": ("left turn", "no left turn"),
-    "turn_right": ("right turn", "no right turn"),
-    "continue": ("going on", "not going on"),
+    "go_left": ("left", "left refused"),
+    "go_right": ("right", "right refused"),
+    "go_forward": ("forward", "forward refused"),
+    "go_back": ("back", "back refused"),
+    "go_up": ("up", "up refused"),
+    "go_down": ("down", "down refused"),
+    "turn_left": ("left turn", "left turn refused"),
+    "turn_right": ("right turn", "right turn refused"),
+    "continue": ("going on", "going on refused"),
 }
 """What is flown and what is not, for each command; "turn left" would be a request."""
 
@@ -141,7 +141,7 @@ class Cues:
 
     def _decision(self, event: Event) -> Cue | None:
         command, modality = self._asked.get(event["request"], ("", ""))
-        yes, no = _WORD.get(command, ("move", "no move"))
+        yes, no = _WORD.get(command, ("move", "move refused"))
         failing = [finding for finding in event["findings"] if not finding["passed"]]
         if event["verdict"] in ("approved", "reduced"):
             beyond = _BEYOND.get(command, "ahead") if event["verdict"] == "reduced" else ""

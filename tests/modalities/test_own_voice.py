@@ -15,9 +15,10 @@ import vosk
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalities.audio import Chunk, Gap, Samples, chunks, quiet, read_audio
+from modalities.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, chunks, quiet, read_audio
 from modalities.own_voice import TAIL_S, OwnVoice
 from modalities.phrases import PhraseTable
+from modalities.stop_through import WINDOW_S, StopThrough
 from modalities.voice import Heard, Recognizer
 from modalities.voice_stream import VoiceStream
 from safety.vocabulary import Command, ManeuverRequest
@@ -28,7 +29,7 @@ RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 SOAK = os.environ.get("M3R_SOAK") == "1"
 TABLE = PhraseTable(("red", "green", "blue"))
 SAMPLE = (
-    "Red: left, forty centimetres, wall ahead", "Red: not up, ground too near", "Red: holding, Blue too near",
+    "Red: left, forty centimetres, wall ahead", "Red: up refused, ground too near", "Red: holding, Blue too near",
     "Red: left turn", "Red: going on, fifteen centimetres", "Red: back, one metre", "Red: not sure what you said",
 )  # fmt: skip
 SUREST_MOVE = 0.3
@@ -81,8 +82,10 @@ class Ears:
 
     def __init__(self, heard: dict[float, Heard]) -> None:
         self._heard = heard
+        self.own_voice: list[bool] = []
 
-    def accept(self, chunk: Chunk) -> list[Heard]:
+    def accept(self, chunk: Chunk, *, own_voice: bool) -> list[Heard]:
+        self.own_voice.append(own_voice)
         return [heard for at_s, heard in self._heard.items() if abs(at_s - chunk.captured_at_s) < 0.01]
 
     def gap(self, _gap: Gap) -> None: ...
@@ -117,9 +120,10 @@ def test_what_is_heard_while_the_app_speaks_counts_only_if_it_is_stop(
     own.ends(103.0)
     requests: list[ManeuverRequest] = []
     dropped: list[str] = []
+    ears = Ears({4.5: utterance(command, from_s, to_s)})
     stream = VoiceStream(
         chunks(quiet(5.0)),
-        Ears({4.5: utterance(command, from_s, to_s)}),
+        ears,
         clock=lambda: 200.0,
         began_s=100.0,
         on_request=requests.append,
@@ -129,6 +133,62 @@ def test_what_is_heard_while_the_app_speaks_counts_only_if_it_is_stop(
     stream._run()
     assert [request.command for request in requests] == ([command] if counts else [])
     assert dropped == ([] if counts else [command.value])
+    told_s = [0.05 * (i + 1) for i, own_voice in enumerate(ears.own_voice) if own_voice]
+    assert (told_s[0], told_s[-1]) == (pytest.approx(2.0), pytest.approx(3.0 + TAIL_S))
+
+
+def through(found: list[bool], chunk_s: float = 0.05) -> list[int]:
+    """At which of the chunks *stop* is heard, when successive looks find it or not."""
+    answers = iter(found)
+    stop_through = StopThrough(lambda samples: len(samples) <= WINDOW_S * SAMPLE_RATE_HZ and next(answers))
+    heard = []
+    for i in range(60):
+        try:
+            if stop_through.accept(quiet(chunk_s)):
+                heard.append(i)
+        except StopIteration:
+            break
+    return heard
+
+
+def test_stop_comes_through_when_two_looks_in_a_row_find_it() -> None:
+    assert through([False] * 10) == []
+    assert through([True, False] * 5) == []
+    assert through([False, True, True, False]) == [11]  # looks begin once half the window is there, every 0.1 s
+    assert through([True, True]) == [9]
+
+
+def test_what_was_heard_before_is_forgotten() -> None:
+    looks: list[int] = []
+    stop_through = StopThrough(lambda samples: bool(looks.append(len(samples))) or True)
+    for _ in range(9):
+        assert not stop_through.accept(quiet(0.05))
+    stop_through.forget()
+    for _ in range(9):
+        assert not stop_through.accept(quiet(0.05))
+    assert stop_through.accept(quiet(0.05))
+    assert max(looks) <= WINDOW_S * SAMPLE_RATE_HZ
+
+
+@pytest.mark.skipif(shutil.which(PROGRAM) is None, reason=f"no {PROGRAM} here (apt: {PROGRAM})")
+def test_stop_is_heard_through_a_cue(loaded: vosk.Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice as loud as the cue. Only what looking again and again finds: the partial results find some of it too."""
+    monkeypatch.setattr(Recognizer, "_stop_stands", lambda _self: False)
+    cue = 0.4 * spoken("Red: up refused, ground too near", tmp_path)
+
+    def heard_at_s(clip: Path, *, own_voice: bool) -> float:
+        voice = read_audio(clip)
+        begins, both = round(0.9 * SAMPLE_RATE_HZ), cue.copy()
+        voice = voice[: len(cue) - begins] * (2.0 * np.abs(cue).max() / np.abs(voice.astype(float)).max())
+        both[begins : begins + len(voice)] += voice
+        recognizer = Recognizer(loaded, TABLE)
+        found = (one for c in chunks(both.astype(np.int16)) for one in recognizer.accept(c, own_voice=own_voice))
+        return next((one.made_at_s for one in found if one.command is Command.STOP), math.inf)
+
+    for clip in sorted((RECORDINGS / "stop").glob("please*.ogg")):
+        told_s, untold_s = heard_at_s(clip, own_voice=True), heard_at_s(clip, own_voice=False)
+        assert told_s < math.inf
+        assert told_s < untold_s  # at once, not when the cue is over
 
 
 def test_an_utterance_knows_when_it_began(loaded: vosk.Model) -> None:

@@ -63,17 +63,17 @@ BLUE = finding("separation", "0.3 m too close to blue")
         ([request("go_down"), decision("reduced", finding("terrain_clearance"), granted_m=0.25)],
          "Red: down, twenty-five centimetres, ground below", False),
         ([request("go_back"), decision("reduced", BLUE, granted_m=0.1)], "Red: back, ten centimetres, Blue too near", False),
-        ([request("go_left"), decision("rejected", WALL, BLUE)], "Red: not left, wall too near", True),
-        ([request("go_forward"), decision("rejected", finding("agl", margin=None))], "Red: not forward, ground unknown", True),
+        ([request("go_left"), decision("rejected", WALL, BLUE)], "Red: left refused, wall too near", True),
+        ([request("go_forward"), decision("rejected", finding("agl", margin=None))], "Red: forward refused, ground unknown", True),
         ([request("go_left"), decision("rejected", finding("input_confidence"))], "Red: not sure what you said", True),
         ([request("go_left", "gesture"), decision("rejected", finding("input_confidence"))], "Red: not sure what you showed", True),
         ([request("go_left", "fused"), decision("rejected", finding("input_confidence"))], "Red: not sure what you asked", True),
         ([request("go_left"), decision("rejected", finding("input_confidence", margin=None))], "Red: ask again", True),
         ([request("turn_left"), decision("approved")], "Red: left turn", False),
-        ([request("turn_right"), decision("rejected", finding("authority", margin=None))], "Red: no right turn, not yours", True),
+        ([request("turn_right"), decision("rejected", finding("authority", margin=None))], "Red: right turn refused, not yours", True),
         ([request("go_right"), decision("delayed", finding("reservation"))], "Red: right waits, held by others", False),
         ([request("go_right"), decision("replaced", finding("envelope"))],
-         "Red: not right, over its limits, slower is offered", False),
+         "Red: right refused, over its limits, slower is offered", False),
         ([request("continue"), decision("reduced", WALL, granted_m=0.15)], "Red: going on, fifteen centimetres, wall ahead", False),
         ([request("go_left"), decision("rejected", finding("contradiction", requirements=["X5"]))],
          "Red: holding, two different requests", True),
@@ -161,7 +161,7 @@ def test_two_refusals_are_two_answers() -> None:
     cues = paired()
     for name in ("r1", "r2"):
         cues.of(request("go_left", number=name))
-        assert cues.of(decision("rejected", WALL, number=name)) == Cue("Red: not left, wall too near", urgent=True)
+        assert cues.of(decision("rejected", WALL, number=name)) == Cue("Red: left refused, wall too near", urgent=True)
 
 
 def test_of_violations_at_once_the_first_is_spoken() -> None:
@@ -200,7 +200,7 @@ def told_by_the_rules(rule: Any, scene: Situation) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_names_come_from_the_rules_own_sentences(found: dict[str, Any], why: str) -> None:
-    assert last(request("go_left"), decision("rejected", found)) == Cue(f"Red: not left, {why}", urgent=True)
+    assert last(request("go_left"), decision("rejected", found)) == Cue(f"Red: left refused, {why}", urgent=True)
 
 
 def test_every_constraint_has_its_words() -> None:

@@ -212,7 +212,7 @@ def test_without_the_program_urgent_cues_ring_and_it_is_said_once(
     with spoken.speaker:
         spoken.cue("Red: left done")
         spoken.cue("Red: holding", urgent=True)
-        spoken.cue("Red: not left, wall too near", urgent=True)
+        spoken.cue("Red: left refused, wall too near", urgent=True)
         until(lambda: len(spoken.rung) == 2, "it does not ring for each")
     assert spoken.rung == [1, 1]
     assert spoken.sentences == [not_spoken("espeak-ng is not here: install it")]
