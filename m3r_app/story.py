@@ -30,6 +30,8 @@ class Asked:
     latency_ms: float | None
     place: Place | None
     """Where the drone was."""
+    confirmed: float | None = None
+    """Confidence after a second modality confirmed it."""
     decisions: list[Mapping[str, Any]] = field(default_factory=list)
     motions: list[Mapping[str, Any]] = field(default_factory=list)
 
@@ -97,6 +99,8 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
         if topic in EVENTS:
             story.events.append({"t": t_s, "event": topic, **data})
         match topic:
+            case "request" if str(data["id"]) in by_id:
+                by_id[str(data["id"])].confirmed = number(data.get("confidence"))
             case "request":
                 asked = Asked(
                     t_s,

@@ -31,6 +31,8 @@ MARK = "<!-- m3r flight report -->"
 """A page with this in its first line is ours, and may be replaced."""
 INKS = {"approved": "#2a9d4a", "reduced": "#d79b00", "delayed": "#d79b00", "replaced": "#d79b00", "rejected": "#d62828"}
 SIGNS = {"approved": "circle", "reduced": "diamond", "delayed": "diamond", "replaced": "diamond", "rejected": "x"}
+SCENE_M = 30.0
+"""So far about the middle of the path the scene shows ground and neighbours."""
 BALL = 13
 """Lines of the workspace's ball."""
 COLOURS = {"red": "#d62828", "green": "#2a9d4a", "blue": "#2b6cb0"}
@@ -115,13 +117,15 @@ def _safe_json(figure: go.Figure) -> Any:
 def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
     """Ground, obstacles, path, plans, anchors, requests, neighbours: east, north, up in metres about the operator's origin."""
     figure = go.Figure()
+    middle = np.mean(story.track.places, axis=0) if story.track.places else np.zeros(3)
     ground = metadata.get("ground")
     if isinstance(ground, dict):
-        heights = np.array(ground["heights_m"], dtype=float)
+        norths, easts, heights = (np.array(ground[key], dtype=float) for key in ("norths_m", "easts_m", "heights_m"))
+        rows, columns = _near(norths, middle[0]), _near(easts, middle[1])
         figure.add_surface(
-            x=ground["easts_m"],
-            y=ground["norths_m"],
-            z=heights,
+            x=easts[columns],
+            y=norths[rows],
+            z=heights[np.ix_(rows, columns)],
             colorscale="Earth",
             showscale=False,
             opacity=0.9,
@@ -135,7 +139,8 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
     for number_, (t_s, points) in enumerate(story.plans, start=1):
         _line(figure, points, f"plan {number_} at {t_s:.1f} s", "#2a9d4a", 3, group="plans")
     for name, track in story.neighbours.items():
-        _line(figure, track.places, name, COLOURS.get(name, "#7b5ea7"), 2)
+        near = [place for place in track.places if math.dist(place[:2], middle[:2]) <= SCENE_M]
+        _line(figure, near, name, COLOURS.get(name, "#7b5ea7"), 2)
     if story.anchors:
         places = [place for _, place, _ in story.anchors]
         _marks(figure, places, [f"anchor at {t:.1f} s" for t, _, _ in story.anchors], "anchors", "cross", "#00a5cf")
@@ -155,7 +160,7 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
             "xaxis": {"title": "east, m"},
             "yaxis": {"title": "north, m"},
             "zaxis": {"title": "up, m"},
-            "camera": {"eye": {"x": 0.2, "y": -0.9, "z": 0.5}},
+            "camera": {"eye": {"x": 0.5, "y": -1.0, "z": 0.5}},
         },
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
         legend={"itemsizing": "constant"},
@@ -163,6 +168,11 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
         template="none",
     )
     return figure
+
+
+def _near(along: np.ndarray[Any, Any], middle: float) -> np.ndarray[Any, Any]:
+    """Indices of what is in the scene."""
+    return np.flatnonzero(np.abs(along - middle) <= SCENE_M)
 
 
 def _xyz(places: list[Any]) -> dict[str, list[float]]:
