@@ -89,7 +89,7 @@ def render(story: Story, header: RecordHeader, name: str) -> str:
         ],
         shown=shown,
         plotly=Markup(get_plotlyjs()),  # noqa: S704  (plotly.js itself)
-        scene=_safe_json(scene(story, header.metadata)),
+        scene=_safe_json(scene(story)),
         lines=_safe_json(time_lines(story)),
     )
 
@@ -114,11 +114,11 @@ def _safe_json(figure: go.Figure) -> Any:
 # ---------------------------------------------------------------- the scene
 
 
-def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
+def scene(story: Story) -> go.Figure:
     """Ground, obstacles, path, plans, anchors, requests, neighbours: east, north, up in metres about the operator's origin."""
     figure = go.Figure()
     middle = np.mean(story.track.places, axis=0) if story.track.places else np.zeros(3)
-    ground = metadata.get("ground")
+    ground = story.stage.get("ground")
     if isinstance(ground, dict):
         norths, easts, heights = (np.array(ground[key], dtype=float) for key in ("norths_m", "easts_m", "heights_m"))
         rows, columns = _near(norths, middle[0]), _near(easts, middle[1])
@@ -132,8 +132,8 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
             name="ground",
             hovertemplate="ground %{z:.1f} m<extra></extra>",
         )
-    for name, corners, base_m, top_m in _obstacles(metadata.get("world")):
-        figure.add_trace(_prism(name, corners, base_m, top_m))
+    for one in story.stage.get("obstacles") or []:
+        figure.add_trace(_prism(one["name"], np.array(one["corners_ne_m"]), one["base_m"], one["top_m"]))
     if story.track.places:
         _line(figure, story.track.places, "flown", "#1f77b4", 6)
     for number_, (t_s, points) in enumerate(story.plans, start=1):
@@ -150,8 +150,7 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
         asked = [r for r in story.requests if r.verdict == verdict and r.place is not None]
         texts = [f"{r.t_s:.1f} s {r.command.replace('_', ' ')}: {verdict} {_metres(r)}" for r in asked]
         _marks(figure, [r.place for r in asked], texts, f"{verdict} requests", SIGNS[verdict], ink)
-    operator = metadata.get("operator")
-    where = place_of(operator.get("position")) if isinstance(operator, dict) else None
+    where = place_of(story.stage.get("operator"))
     if where is not None:
         _marks(figure, [where], ["operator"], "operator", "circle", "#111111")
     figure.update_layout(
@@ -202,25 +201,6 @@ def _marks(figure: go.Figure, places: list[Any], texts: list[str], name: str, si
             hoverinfo="text",
             marker={"symbol": sign, "size": 5, "color": ink},
         )
-
-
-def _obstacles(world: Any) -> list[tuple[str, np.ndarray[Any, Any], float, float]]:
-    """Name, corners (n, 2) north and east, base and top above the local origin; as far as the record holds them."""
-    obstacles = world.get("obstacles") if isinstance(world, dict) else None
-    if not isinstance(obstacles, dict) or not obstacles.get("names"):
-        return []
-    try:
-        edges = np.array(obstacles["polygons"]["edges"], dtype=float)
-        firsts = [*map(int, obstacles["polygons"]["firsts"]), edges.shape[1]]
-        origin_m = float(obstacles["origin_amsl_m"])
-        return [
-            (str(name), edges[:2, firsts[i] : firsts[i + 1]].T, float(base) - origin_m, float(top) - origin_m)
-            for i, (name, base, top) in enumerate(
-                zip(obstacles["names"], obstacles["bases_amsl_m"], obstacles["tops_amsl_m"], strict=True)
-            )
-        ]
-    except (KeyError, TypeError, ValueError, IndexError):
-        return []
 
 
 def _prism(name: str, corners: np.ndarray[Any, Any], base_m: float, top_m: float) -> go.Mesh3d:
