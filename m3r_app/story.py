@@ -33,6 +33,8 @@ class Asked:
     confirmed: float | None = None
     """Confidence after a second modality confirmed it."""
     decisions: list[Mapping[str, Any]] = field(default_factory=list)
+    decided_s: list[float] = field(default_factory=list)
+    """When each decision fell."""
     motions: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
@@ -93,6 +95,17 @@ class Story:
                 found.setdefault(asked.modality, []).append(asked.latency_ms)
         return {modality: sorted(values) for modality, values in sorted(found.items())}
 
+    def decided_m(self) -> dict[str, list[tuple[float, float, bool]]]:
+        """(t_s, margin_m, passed) of every finding in metres of every decision, by constraint."""
+        found: dict[str, list[tuple[float, float, bool]]] = {}
+        for asked in self.requests:
+            for t_s, decision in zip(asked.decided_s, asked.decisions, strict=True):
+                for one in decision["findings"]:
+                    margin_m = number(one["margin"])
+                    if margin_m is not None and one["unit"] == "m":
+                        found.setdefault(str(one["constraint"]), []).append((t_s, margin_m, bool(one["passed"])))
+        return found
+
 
 def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
     """The story of the messages of a record, (topic, t_s, data) in order."""
@@ -117,6 +130,7 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
                 by_id[asked.id] = asked
                 story.requests.append(asked)
             case "decision" if data["request"] in by_id:
+                by_id[data["request"]].decided_s.append(t_s)
                 by_id[data["request"]].decisions.append(data)
             case "motion" if data["request"] in by_id:
                 by_id[data["request"]].motions.append(data)

@@ -5,6 +5,7 @@ Drawn by plotly, filled in by jinja2, which escapes whatever was said or named i
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import re
@@ -31,7 +32,7 @@ MARK = "<!-- m3r flight report -->"
 """A page with this in its first line is ours, and may be replaced."""
 INKS = {"approved": "#2a9d4a", "reduced": "#d79b00", "delayed": "#d79b00", "replaced": "#d79b00", "rejected": "#d62828"}
 SIGNS = {"approved": "circle", "reduced": "diamond", "delayed": "diamond", "replaced": "diamond", "rejected": "x"}
-SCENE_M = 30.0
+SCENE_M = 20.0
 """So far about the middle of the path the scene shows ground and neighbours."""
 BALL = 13
 """Lines of the workspace's ball."""
@@ -49,14 +50,15 @@ def write_report(record: Path, out: Path | None = None) -> tuple[Path, str | Non
     _refuse_to_overwrite(page)
     try:
         story = story_of(read_record(record))
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, RecordError):
-            raise
+        text = render(story, header, record.name) if story.events else ""
+    except RecordError:
+        raise
+    except (AttributeError, LookupError, TypeError, ValueError, jinja2.UndefinedError) as error:
         raise RecordError(f"{record} holds a message that no m3r writes ({error!r}): is it a flight record?") from None
     if not story.events:
         raise RecordError(f"{record} holds no event: there is no story to tell")
     try:
-        page.write_text(render(story, header, record.name), encoding="utf-8")
+        page.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(f"report {page} cannot be written: {error.strerror}") from None
     broken = None
@@ -134,6 +136,9 @@ def scene(story: Story) -> go.Figure:
         )
     for one in story.stage.get("obstacles") or []:
         figure.add_trace(_prism(one["name"], np.array(one["corners_ne_m"]), one["base_m"], one["top_m"]))
+    for edge in story.stage.get("fence_ne_m") or []:
+        ends = [(north, east, middle[2]) for north, east in (edge[:2], edge[2:4])]
+        _line(figure, ends, "geofence at the height flown", "#c2185b", 3, group="geofence at the height flown")
     if story.track.places:
         _line(figure, story.track.places, "flown", "#1f77b4", 6)
     for number_, (t_s, points) in enumerate(story.plans, start=1):
@@ -152,12 +157,12 @@ def scene(story: Story) -> go.Figure:
         _marks(figure, [r.place for r in asked], texts, f"{verdict} requests", SIGNS[verdict], ink)
     where = place_of(story.stage.get("operator"))
     if where is not None:
-        _marks(figure, [where], ["operator"], "operator", "circle", "#111111")
+        _marks(figure, [where], ["operator"], "operator", "circle", "#e91e8c")
     figure.update_layout(
         scene={
             "aspectmode": "data",
-            "xaxis": {"title": "east, m"},
-            "yaxis": {"title": "north, m"},
+            "xaxis": {"title": "east, m", "range": [middle[1] - SCENE_M, middle[1] + SCENE_M]},
+            "yaxis": {"title": "north, m", "range": [middle[0] - SCENE_M, middle[0] + SCENE_M]},
             "zaxis": {"title": "up, m"},
             "camera": {"eye": {"x": 0.5, "y": -1.0, "z": 0.5}},
         },
@@ -183,8 +188,8 @@ def _line(figure: go.Figure, places: list[Any], name: str, ink: str, width: int,
         figure.add_scatter3d(
             **_xyz(places),
             mode="lines",
-            name=name if group is None else group,
-            hovertext=name,
+            name=html.escape(name if group is None else group),
+            hovertext=html.escape(name),
             legendgroup=group or name,
             showlegend=group is None or not any(trace.legendgroup == group for trace in figure.data),
             line={"color": ink, "width": width},
@@ -196,8 +201,8 @@ def _marks(figure: go.Figure, places: list[Any], texts: list[str], name: str, si
         figure.add_scatter3d(
             **_xyz(places),
             mode="markers",
-            name=name,
-            hovertext=texts,
+            name=html.escape(name),
+            hovertext=[html.escape(text) for text in texts],
             hoverinfo="text",
             marker={"symbol": sign, "size": 5, "color": ink},
         )
@@ -212,7 +217,17 @@ def _prism(name: str, corners: np.ndarray[Any, Any], base_m: float, top_m: float
     roof = [(n, n + a, n + a + 1) for a in range(1, n - 1)]
     i, j, k = zip(*(walls + roof), strict=True)
     return go.Mesh3d(
-        x=x, y=y, z=z, i=i, j=j, k=k, name=name, color="#b5651d", opacity=0.6, showlegend=True, hoverinfo="name"
+        x=x,
+        y=y,
+        z=z,
+        i=i,
+        j=j,
+        k=k,
+        name=html.escape(name),
+        color="#b5651d",
+        opacity=0.6,
+        showlegend=True,
+        hoverinfo="name",
     )
 
 
@@ -243,19 +258,19 @@ def _metres(asked: Asked) -> str:
 
 
 def time_lines(story: Story) -> go.Figure:
-    """Mode, margins, confidence and speed over the same seconds."""
+    """Mode, margins in flight and at each decision, confidence and speed over the same seconds."""
     figure = make_subplots(
-        rows=4,
+        rows=5,
         cols=1,
         shared_xaxes=True,
         vertical_spacing=0.05,
-        row_heights=[0.24, 0.36, 0.2, 0.2],
-        subplot_titles=("mode", "margins, m (battery and link left out)", "confidence", "speed, m/s"),
+        row_heights=[0.16, 0.28, 0.28, 0.14, 0.14],
+        subplot_titles=("mode", "margins in flight, m", "margins of decisions, m", "confidence", "speed, m/s"),
     )
     if story.modes:
         times = [t for t, _, _ in story.modes] + [story.length_s]
-        modes = [mode for _, mode, _ in story.modes]
-        states = [state for _, _, state in story.modes]
+        modes = [html.escape(mode).replace("Response", "Response<br>") for _, mode, _ in story.modes]
+        states = [html.escape(state) for _, _, state in story.modes]
         figure.add_scatter(
             x=times,
             y=[*modes, modes[-1]],
@@ -269,25 +284,37 @@ def time_lines(story: Story) -> go.Figure:
     for name, values in story.margins.items():
         if name not in ("battery", "link age"):
             figure.add_scatter(
-                x=[t for t, _ in values], y=[v for _, v in values], mode="lines", name=name, row=2, col=1
+                x=[t for t, _ in values], y=[v for _, v in values], mode="lines", name=html.escape(name), row=2, col=1
             )
-    figure.add_hline(y=0.0, line_dash="dot", line_color="#d62828", row=2, col=1)
+    for name, found in story.decided_m().items():
+        figure.add_scatter(
+            x=[t for t, _, _ in found],
+            y=[margin for _, margin, _ in found],
+            mode="markers",
+            marker={"symbol": ["circle" if passed else "x" for _, _, passed in found], "size": 8},
+            name=html.escape(f"{name}, decided"),
+            row=3,
+            col=1,
+        )
+    for row in (2, 3):
+        figure.add_hline(y=0.0, line_dash="dot", line_color="#d62828", row=row, col=1)
     for modality in sorted({r.modality for r in story.requests}):
         asked = [r for r in story.requests if r.modality == modality]
         figure.add_scatter(
             x=[r.t_s for r in asked],
             y=[r.confidence for r in asked],
-            text=[r.command.replace("_", " ") for r in asked],
+            text=[html.escape(r.command.replace("_", " ")) for r in asked],
             mode="markers",
-            name=modality,
-            row=3,
+            name=html.escape(modality),
+            row=4,
             col=1,
         )
-    figure.add_scatter(x=story.track.times_s, y=story.track.speeds_m_s, mode="lines", name="speed", row=4, col=1)
-    figure.update_xaxes(title_text="s since the start", row=4, col=1)
-    figure.update_yaxes(range=[-0.05, 1.05], row=3, col=1)
+    figure.add_scatter(x=story.track.times_s, y=story.track.speeds_m_s, mode="lines", name="speed", row=5, col=1)
+    figure.update_xaxes(title_text="s since the start", row=5, col=1)
+    figure.update_yaxes(range=[-0.05, 1.05], row=4, col=1)
+    figure.update_yaxes(automargin=True)
     figure.update_layout(
-        height=820, margin={"l": 60, "r": 10, "t": 30, "b": 40}, template="none", hovermode="x unified"
+        height=1040, margin={"l": 60, "r": 10, "t": 30, "b": 40}, template="none", hovermode="x unified"
     )
     return figure
 

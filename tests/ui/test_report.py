@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from m3r_app.ground import Ground
 from m3r_app.recorder import SCHEMA_VERSION, Recorder, read_record
-from m3r_app.story import Story, story_of
 from ui.cli import main
 from ui.report import MARK, ReportError, shown, write_report
 
@@ -32,8 +29,8 @@ STAGE: dict[str, object] = {
     "obstacles": [
         {"name": "the wall", "corners_ne_m": [[12, 5], [12, 6], [16, 6], [16, 5]], "base_m": 0.0, "top_m": 8.0}
     ],
-    "fence_ne_m": [],
-    "fence_levels_m": [],
+    "fence_ne_m": [[-20.0, -20.0, -20.0, 20.0], [-20.0, 20.0, 30.0, 20.0]],
+    "fence_levels_m": [0.0, 60.0],
     "operator": [0.0, 0.0, 0.0],
 }
 
@@ -167,12 +164,12 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path, width_px: in
         assert page.title() == "Flight flight.mcap"
         for topic, _, data in read_record(record):
             if topic == "request":
-                row = page.locator(f'tr[data-request="{data["id"]}"]')
+                row = page.locator(f'tbody[data-request="{data["id"]}"]')
                 assert row.locator(".confidence").inner_text() == shown(data["confidence"])
                 assert row.locator(".latency").inner_text() == shown(data["latency_ms"], 0)
                 assert HOSTILE in row.inner_text()
             if topic == "decision":
-                row = page.locator(f'tr[data-request="{data["request"]}"]')
+                row = page.locator(f'tbody[data-request="{data["request"]}"]')
                 assert row.locator(".verdict").inner_text() == data["verdict"]
                 assert row.locator(".granted").inner_text() == shown(data["granted_m"])
                 assert row.locator(".requested").inner_text() == shown(data["requested_m"])
@@ -181,8 +178,22 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path, width_px: in
             if topic == "end":
                 for key in ("requests", "approved", "completed", "aborted", "rejected", "violations"):
                     assert page.locator(f"#end-{key}").inner_text() == str(data[key])
+        assert page.locator("#requests").evaluate("e => e.scrollWidth") <= width_px
+        decided = page.evaluate(
+            "figures.lines.data.filter(t => t.name.endsWith('decided')).map(t => [t.name, [...t.y]])"
+        )
+        assert dict(decided) == {"agl, decided": [1.25] * 3, "terrain_clearance, decided": [-0.63] * 2}
         drawn = page.evaluate("figures.scene.data.map(trace => trace.name)")
-        assert {"ground", "the wall", "flown", "plans", "green", "anchors", "operator"} <= set(drawn)
+        assert {
+            "ground",
+            "the wall",
+            "flown",
+            "plans",
+            "geofence at the height flown",
+            "green",
+            "anchors",
+            "operator",
+        } <= set(drawn)
         assert {"approved requests", "reduced requests", "rejected requests"} <= set(drawn)
         assert page.locator("#latencies tbody tr").inner_text().split() == ["voice", "3", "200", "290"]
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
@@ -260,50 +271,37 @@ def test_a_record_without_ground_world_or_telemetry_has_a_page(tmp_path: Path) -
     assert "Nothing was asked for." in page.read_text()
 
 
-def told(*messages: tuple[str, float, Mapping[str, Any]]) -> Story:
-    return story_of(messages)
-
-
-def request(name: str, modality: str = "voice", **fields: object) -> dict[str, object]:
-    return {
-        "id": name,
-        "command": "go_left",
-        "modality": modality,
-        "confidence": 0.8,
-        "latency_ms": 5.0,
-        "evidence": "",
-        **fields,
+@pytest.mark.parametrize(
+    ("topic", "wrong"),
+    [
+        ("decision", {"findings": None}),
+        ("decision", {"findings": "x"}),
+        ("motion", {"displacement_enu_m": None}),
+        ("motion", {"displacement_enu_m": []}),
+        ("request", {"confidence": "x"}),
+        ("margins", {"margins": None}),
+        ("stage", {"ground": {}}),
+        ("end", {}),
+    ],
+)
+def test_a_message_of_another_shape_is_one_sentence(
+    tmp_path: Path, topic: str, wrong: dict[str, object], capsys: pytest.CaptureFixture[str]
+) -> None:
+    right: dict[str, dict[str, object]] = {
+        "request": {"id": "a", "command": "stop", "modality": "voice", "confidence": 0.8, "latency_ms": 1.0},
+        "decision": {"request": "a", "verdict": "rejected", "requested_m": 1.0, "granted_m": None, "findings": []},
+        "motion": {"request": "a", "status": "completed"},
     }
-
-
-def test_a_confirmation_is_no_second_request() -> None:
-    story = told(("request", 1.0, request("voice-1")), ("request", 1.4, request("voice-1", "fused", confidence=0.97)))
-    assert [(r.modality, r.confidence, r.confirmed) for r in story.requests] == [("voice", 0.8, 0.97)]
-
-
-def test_the_last_decision_is_final() -> None:
-    delayed = {"request": "voice-1", "verdict": "delayed", "findings": []}
-    story = told(
-        ("request", 1.0, request("voice-1")),
-        ("decision", 1.0, delayed),
-        ("decision", 2.0, {**delayed, "verdict": "approved"}),
-    )
-    assert story.requests[0].verdict == "approved"
-    assert len(story.requests[0].decisions) == 2
-
-
-def test_what_is_no_place_is_in_no_track() -> None:
-    nan = math.nan
-    bad = [[nan, 0, 0], None, [1, 2], ["a", 1, 2], [math.inf, 0, 0]]
-    story = told(*(("telemetry", float(i), {"position": place, "velocity": None}) for i, place in enumerate(bad)))
-    assert story.track.places == []
-
-
-def test_latencies_are_by_modality_and_rising() -> None:
-    messages = [
-        ("request", float(i), request(f"v-{i}", latency_ms=ms)) for i, ms in enumerate([30.0, 10.0, None, 20.0])
-    ]
-    assert told(*messages).latencies_ms() == {"voice": [10.0, 20.0, 30.0]}
+    recorder = Recorder(tmp_path / "odd.mcap", METADATA, lambda _: None)
+    if topic != "request":
+        recorder.record("request", 1.0, right["request"])
+    recorder.record(topic, 2.0, right.get(topic, {}) | wrong)
+    recorder.close()
+    assert main(["report", str(tmp_path / "odd.mcap")]) == 2
+    err = capsys.readouterr().err
+    assert "odd.mcap holds a message that no m3r writes" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "odd.html").exists()
 
 
 def test_a_number_that_is_none_is_a_dash() -> None:
