@@ -99,7 +99,7 @@ def render(story: Story, header: RecordHeader, name: str) -> str:
 def shown(value: object, places: int = 2, unit: str = "") -> str:
     """A number for a reader; a dash where there is none."""
     found = number(value)
-    return "–" if found is None else f"{found + 0.0:.{places}f}{unit}"
+    return "–" if found is None else f"{round(found, places) + 0.0:.{places}f}{unit}"  # no -0.00
 
 
 def _told(event: Mapping[str, Any]) -> str | None:
@@ -108,9 +108,19 @@ def _told(event: Mapping[str, Any]) -> str | None:
 
 def _safe_json(figure: go.Figure) -> Any:
     """A figure as JSON that cannot end the script that it stands in."""
-    text = re.sub(r"[<>&\u2028\u2029]", lambda m: f"\\u{ord(m[0]):04x}", figure.to_json())
-    json.loads(text)
+    text = re.sub(
+        r"[<>&\u2028\u2029]", lambda m: f"\\u{ord(m[0]):04x}", json.dumps(_rounded(json.loads(figure.to_json())))
+    )
     return Markup(text)  # noqa: S704  (what could end a script has just been escaped)
+
+
+def _rounded(value: Any) -> Any:
+    """To a millimetre or millisecond: a page about ten minutes stays small."""
+    if isinstance(value, float):
+        return round(value, 3)
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return {key: _rounded(one) for key, one in value.items()} if isinstance(value, dict) else value
 
 
 # ---------------------------------------------------------------- the scene
@@ -120,10 +130,12 @@ def scene(story: Story) -> go.Figure:
     """Ground, obstacles, path, plans, anchors, requests, neighbours: east, north, up in metres about the operator's origin."""
     figure = go.Figure()
     middle = np.mean(story.track.places, axis=0) if story.track.places else np.zeros(3)
+    ups = [-down for _, _, down in story.track.places]
     ground = story.stage.get("ground")
     if isinstance(ground, dict):
         norths, easts, heights = (np.array(ground[key], dtype=float) for key in ("norths_m", "easts_m", "heights_m"))
         rows, columns = _near(norths, middle[0]), _near(easts, middle[1])
+        ups += [up for up in heights[np.ix_(rows, columns)].ravel().tolist() if math.isfinite(up)]
         figure.add_surface(
             x=easts[columns],
             y=norths[rows],
@@ -158,12 +170,14 @@ def scene(story: Story) -> go.Figure:
     where = place_of(story.stage.get("operator"))
     if where is not None:
         _marks(figure, [where], ["operator"], "operator", "circle", "#e91e8c")
+    low_m, high_m = min(ups, default=0.0) - 1.0, max(ups, default=0.0) + 6.0  # the workspace's ball has 5 m
     figure.update_layout(
         scene={
-            "aspectmode": "data",
+            "aspectmode": "manual",  # one scale for all three axes
+            "aspectratio": {"x": 1.0, "y": 1.0, "z": (high_m - low_m) / (2.0 * SCENE_M)},
             "xaxis": {"title": "east, m", "range": [middle[1] - SCENE_M, middle[1] + SCENE_M]},
             "yaxis": {"title": "north, m", "range": [middle[0] - SCENE_M, middle[0] + SCENE_M]},
-            "zaxis": {"title": "up, m"},
+            "zaxis": {"title": "up, m", "range": [low_m, high_m]},
             "camera": {"eye": {"x": 0.5, "y": -1.0, "z": 0.5}},
         },
         margin={"l": 0, "r": 0, "t": 0, "b": 0},

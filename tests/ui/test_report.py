@@ -194,6 +194,10 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path, width_px: in
             "anchors",
             "operator",
         } <= set(drawn)
+        box = page.evaluate("figures.scene.layout.scene")
+        spans = {axis: box[f"{axis}axis"]["range"][1] - box[f"{axis}axis"]["range"][0] for axis in "xyz"}
+        scales = [spans[axis] / box["aspectratio"][axis] for axis in "xyz"]
+        assert scales == pytest.approx([scales[0]] * 3, rel=0.01)  # a ball is drawn as a ball
         assert {"approved requests", "reduced requests", "rejected requests"} <= set(drawn)
         assert page.locator("#latencies tbody tr").inner_text().split() == ["voice", "3", "200", "290"]
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
@@ -305,5 +309,5 @@ def test_a_message_of_another_shape_is_one_sentence(
 
 
 def test_a_number_that_is_none_is_a_dash() -> None:
-    assert [shown(value) for value in (None, math.nan, -0.0, 1.005, "x")] == ["–", "–", "0.00", "1.00", "–"]
+    assert [shown(value) for value in (None, math.nan, -0.001, 1.005, "x")] == ["–", "–", "0.00", "1.00", "–"]
     assert json.dumps(shown(1.0)) == '"1.00"'
