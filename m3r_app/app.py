@@ -11,8 +11,9 @@ import math
 import signal
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -20,17 +21,21 @@ from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.ground import ground_about
 from m3r_app.guard import Guard
-from m3r_app.inputs import InputError, Inputs, open_inputs
+from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.modes import State
 from m3r_app.options import RunOptions
 from m3r_app.pairing import PairingLimits, objections
+from m3r_app.picture import Taken
 from m3r_app.plain import plain
 from m3r_app.preparation import Setting, prepare
 from m3r_app.recorder import Recorder
 from m3r_app.shell import Recording, Shell, request_event
 from m3r_app.vehicle import VehicleError
+from modalities.gestures import Hand
 from modalities.own_voice import OwnVoice
+from safety.vocabulary import Ned
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
 """Exit statuses of the contract; the highest that applies."""
@@ -59,7 +64,7 @@ async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None
     own_voice: when whoever speaks for us did, by `time.monotonic`; a live microphone hears it too.
     Raises what names bad input (ValueError) or a missing vehicle (VehicleError), after the `end` object.
     """
-    one = _Run(options, emit, own_voice)
+    one = Run(options, emit, own_voice)
     loop = asyncio.get_running_loop()
     for name in ENDING:
         loop.add_signal_handler(name, one.interrupted.set)
@@ -72,16 +77,22 @@ async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None
             loop.remove_signal_handler(name)
 
 
-class _Run:
-    """The life of one run."""
+class Run:
+    """The life of one run, in the event loop that it is made in. `interrupted` ends it in order; `run` has signals do that."""
 
-    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None) -> None:
+    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
         self.options = options
         self._own_voice = own_voice
+        self.setting: Setting | None = None
+        """Once it is known."""
+        self.senses = Taken()
+        """What the modalities take in."""
         self.clock = time.monotonic
         self.started_s = self.clock()
         self._loop = asyncio.get_running_loop()
         self.interrupted = asyncio.Event()
+        self.quitted = asyncio.Event()
+        """The operator at the console has had enough: a normal end."""
         self._emit = emit
         self._recording: Recorder | None = None
         self.shell: Shell | None = None
@@ -149,7 +160,7 @@ class _Run:
 
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
-            setting = await _in_thread(lambda: prepare(self.options))
+            setting = self.setting = await _in_thread(lambda: prepare(self.options))
             inputs = await _in_thread(
                 lambda: open_inputs(
                     self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._own_voice
@@ -188,6 +199,9 @@ class _Run:
             "origin": setting.frame.origin,
             "world": setting.world,
             "models": list(inputs.models),
+            "ground": ground_about(
+                setting.world, setting.operator.position if setting.operator else Ned(0.0, 0.0, 0.0)
+            ),
         }
         return Recorder(self.options.record, metadata, self._say_soon)
 
@@ -277,17 +291,35 @@ class _Run:
             shell.inbox.put(PairingAsked(self.options.pair))
             await self._until(shell, lambda: shell.state.state is not State.IDLE)
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
-            if shell.state.session is None:
+            if shell.state.session is None and not self.options.console:
                 raise NoPairing
         damage = await inputs.play(
             self.clock,
             lambda request: shell.inbox.put(request_event(request)),
-            lambda words: self.record("heard", self.clock(), {"modality": "voice", "words": words}),
-            lambda shown: self.record("seen", self.clock(), {"modality": "gesture", "shown": shown}),
+            Senses(self._heard, self._loud, self._seen, self._hands),
         )
+        if self.options.console:
+            if damage is not None:
+                self.emit("announce", {"text": damage})
+            await self.quitted.wait()
+            return
         await self._rest(shell)
         if damage is not None:
             raise InputError(damage)
+
+    def _heard(self, words: str) -> None:
+        self.record("heard", self.clock(), {"modality": "voice", "words": words})
+        self.senses = replace(self.senses, words=words, words_at_s=self.clock())
+
+    def _seen(self, shown: str) -> None:
+        self.record("seen", self.clock(), {"modality": "gesture", "shown": shown})
+        self.senses = replace(self.senses, shown=shown, shown_at_s=self.clock())
+
+    def _loud(self, level_dbfs: float) -> None:
+        self.senses = replace(self.senses, level_dbfs=level_dbfs, level_at_s=self.clock())
+
+    def _hands(self, hands: Sequence[Hand]) -> None:
+        self.senses = replace(self.senses, hands=tuple(hands), hands_at_s=self.clock())
 
     async def _rest(self, shell: Shell) -> None:
         """What was played last has been put into the inbox; wait until it has been taken out and flown."""

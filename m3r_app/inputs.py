@@ -9,13 +9,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
+from modalities.gestures import Hand
 from modalities.own_voice import OwnVoice
 from modalities.push_to_talk import PushToTalk
 from modalities.script import ScriptedRequest, read_script
@@ -41,6 +42,24 @@ class _Stream(Protocol):
     def stop(self, timeout_s: float = ...) -> bool: ...
 
 
+def _nobody(_: object) -> None:
+    """Nobody looks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Senses:
+    """Who is told what the modalities take in, in the event loop: it shows what is heard and seen, and decides nothing."""
+
+    words: Told = _nobody
+    """Of what is being said, so far."""
+    level_dbfs: Callable[[float], None] = _nobody
+    """How loud the sound is, dB below full scale."""
+    shown: Told = _nobody
+    """What the hands show, whenever it changes."""
+    hands: Callable[[Sequence[Hand]], None] = _nobody
+    """The hands in every picture."""
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """What will be played. sentences: for the operator, before it begins; models: which ones, for the record."""
@@ -51,8 +70,8 @@ class Inputs:
     sentences: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
 
-    async def play(self, clock: Clock, sink: Sink, heard: Told, seen: Told) -> str | None:
-        """Hand every request to `sink` at its time, partial words to `heard` and what hands show to `seen`.
+    async def play(self, clock: Clock, sink: Sink, senses: Senses) -> str | None:
+        """Hand every request to `sink` at its time, and what is heard and seen to `senses`.
 
         Returns when all has been played, with a live input never: what was wrong with a video that broke off, if one did. Raises
         InputError where a voice recording breaks off.
@@ -62,8 +81,8 @@ class Inputs:
             async with asyncio.TaskGroup() as playing:
                 playing.create_task(self._play_script(began_s, clock, sink))
                 if self.voice is not None:
-                    playing.create_task(self.voice.play(began_s, clock, sink, heard))
-                watching = playing.create_task(self._watch(began_s, clock, sink, seen))
+                    playing.create_task(self.voice.play(began_s, clock, sink, senses))
+                watching = playing.create_task(self._watch(began_s, clock, sink, senses))
         except ExceptionGroup as group:
             raise group.exceptions[0] from group
         return watching.result()
@@ -75,8 +94,8 @@ class Inputs:
         if self.hands is not None:
             self.hands.close()
 
-    async def _watch(self, began_s: float, clock: Clock, sink: Sink, seen: Told) -> str | None:
-        return await self.hands.play(began_s, clock, sink, seen) if self.hands is not None else None
+    async def _watch(self, began_s: float, clock: Clock, sink: Sink, senses: Senses) -> str | None:
+        return await self.hands.play(began_s, clock, sink, senses) if self.hands is not None else None
 
     async def _play_script(self, began_s: float, clock: Clock, sink: Sink) -> None:
         for number, scripted in enumerate(self.script, start=1):
@@ -128,7 +147,7 @@ class Voice:
             *([f"the voice model lacks {', '.join(missing)}: phrases with them cannot be heard"] if missing else []),
         )
 
-    async def play(self, began_s: float, clock: Clock, sink: Sink, heard: Told) -> None:
+    async def play(self, began_s: float, clock: Clock, sink: Sink, senses: Senses) -> None:
         """Listen in a thread of its own: until the recording ends, or for ever. Raises InputError if a recording breaks off."""
         from modalities.audio import chunks
         from modalities.voice_stream import VoiceStream
@@ -138,7 +157,7 @@ class Voice:
         microphone = self._microphone
 
         def dropped(words: str) -> None:
-            _post(loop, heard, f"{words} ({WHILE_SPOKEN})")
+            _post(loop, senses.words, f"{words} ({WHILE_SPOKEN})")
             self._say(f'"{words}" was {WHILE_SPOKEN} and does not count: say it again')
 
         self._stream = VoiceStream(
@@ -147,7 +166,8 @@ class Voice:
             clock=clock,
             began_s=began_s if microphone is None else 0.0,  # live chunks carry the app's own time
             on_request=lambda request: _post(loop, sink, request),
-            on_partial=lambda words: _post(loop, heard, words),
+            on_partial=lambda words: _post(loop, senses.words, words),
+            on_level=lambda level: _post(loop, senses.level_dbfs, level),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             own_voice=self._own_voice,
             on_dropped=dropped,
@@ -199,7 +219,7 @@ class Hands:
         mirrored = ", mirrored" if settings.mirrored else ""
         self.sentences = (found.sentence, f"watching {name}{mirrored}: hold a gesture for {settings.hold_s:g} s")
 
-    async def play(self, began_s: float, clock: Clock, sink: Sink, seen: Told) -> str | None:
+    async def play(self, began_s: float, clock: Clock, sink: Sink, senses: Senses) -> str | None:
         """Watch in a thread of its own: until the video ends, or for ever. Returns what was wrong with a video that broke off;
         that is announced at once, and whatever else is being played goes on.
         """
@@ -220,7 +240,8 @@ class Hands:
             self._detector,
             clock=clock,
             on_request=lambda request: _post(loop, sink, request),
-            on_seen=lambda text: _post(loop, seen, text),
+            on_seen=lambda text: _post(loop, senses.shown, text),
+            on_hands=lambda hands: _post(loop, senses.hands, hands),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             hold=Hold(self._settings.hold_s),
             mirrored=self._settings.mirrored,

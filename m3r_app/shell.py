@@ -36,13 +36,15 @@ from m3r_app.events import (
 from m3r_app.fleet import Fleet
 from m3r_app.guard import Guard
 from m3r_app.motion import MotionController
+from m3r_app.picture import craft, margins
 from m3r_app.telemetry import UNKNOWN_MODE, Telemetry
 from m3r_app.vehicle import Vehicle, VehicleError
 from safety.frames import LocalFrame
-from safety.vocabulary import Command, ManeuverRequest, Ned, Neighbours, VehicleState
+from safety.vocabulary import Anchor, Command, ManeuverRequest, Ned, Neighbours, VehicleState
 
 INBOX = 512
 TICK_S = 0.1
+MARGINS_S = 0.5
 MODE_LAG_S = 0.2
 """A flight mode that was reported earlier than this after we changed it may be the old one."""
 JUMP_M = 0.5
@@ -129,6 +131,8 @@ class Shell:
         self._declared_empty = declared_empty
         self._shift: Ned | None = None
         self._commanded_at_s = -math.inf
+        self._margins_at_s = -math.inf
+        self._anchor: Anchor | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._streaming: asyncio.Task[None] | None = None
         self._pairing: asyncio.Task[None] | None = None
@@ -149,6 +153,13 @@ class Shell:
             self._recording.record("input", now_s, {"kind": type(event).__name__, "event": _recordable(event)})
         for effect in effects:
             self._carry_out(effect, now_s)
+        anchor = self.state.session.anchor if self.state.session is not None else None
+        if anchor is not self._anchor:
+            self._anchor = anchor
+            radius_m = self.state.limits.workspace_m
+            self._recording.record(
+                "anchor", now_s, {"position": anchor.position if anchor else None, "radius_m": radius_m}
+            )
         if self.state.pairing_off is not None:
             self._call_off_pairing()
         self.changed.set()
@@ -161,7 +172,17 @@ class Shell:
             now_s = self.clock()
             if self.vehicle is not None:
                 self.inbox.put(self.surroundings(now_s))
+                self._record_margins(self.vehicle, now_s)
             self.inbox.put(Tick())
+
+    def _record_margins(self, vehicle: Vehicle, now_s: float) -> None:
+        """How far every limit is, twice a second, for who reads the record."""
+        if now_s - self._margins_at_s < MARGINS_S:
+            return
+        self._margins_at_s = now_s
+        drone = craft(vehicle.colour, vehicle.telemetry(), self.frame, now_s, ours=True)
+        found = margins(self.state, drone, now_s)
+        self._recording.record("margins", now_s, {"margins": {m.name: m.value for m in found}})
 
     def surroundings(self, now_s: float) -> NeighboursHeard:
         """The latest of everybody else."""

@@ -277,6 +277,13 @@ class Vehicle:
             f"a take-off to {metres:g} m",
         )
 
+    async def land(self, timeout_s: float = 120.0) -> None:
+        """Come down here and wait until it stands on the ground. Raises VehicleError."""
+        if self.telemetry().in_air is not True:
+            raise VehicleError(f"{self.colour}: landing is only for a vehicle that is known to fly.")
+        await self._command("landing", self._action.land_async)
+        await self.wait_for(lambda t: t.in_air is False, timeout_s, "the landing")
+
     async def resume_mission(self) -> None:
         """Go on with the mission that is in the vehicle. Raises VehicleError."""
         await self._command("the mission", self._mission.start_mission_async)

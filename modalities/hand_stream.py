@@ -6,10 +6,10 @@ Source: R1, X4.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 
-from modalities.gestures import read_hands
+from modalities.gestures import Hand, read_hands
 from modalities.hands import HandDetector
 from modalities.hold import Held, Hold
 from modalities.video import Clock, VideoSource
@@ -31,12 +31,13 @@ class HandStream:
         clock: Clock,
         on_request: Callable[[ManeuverRequest], None],
         on_seen: Callable[[str], None] = lambda _text: None,
+        on_hands: Callable[[Sequence[Hand]], None] = lambda _hands: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         hold: Hold | None = None,
         mirrored: bool = False,
     ) -> None:
         """clock: the app's monotonic seconds, which the source stamps its pictures with. on_seen: what is seen now, whenever
-        it changes. on_end: called last, once, with the error that ended the stream, or None where the video was played or
+        it changes. on_hands: the hands in every picture. on_end: called last, once, with the error that ended the stream, or None where the video was played or
         `stop` was called. mirrored: the camera shows the operator as a mirror would. The detector stays the caller's to close.
         """
         self._source = source
@@ -44,6 +45,7 @@ class HandStream:
         self._clock = clock
         self._on_request = on_request
         self._on_seen = on_seen
+        self._on_hands = on_hands
         self._on_end = on_end
         self._hold = Hold() if hold is None else hold
         self._mirrored = mirrored
@@ -87,6 +89,7 @@ class HandStream:
                 held = self._hold.accept(reading, frame.captured_at_s)
                 if self._stopping.is_set():
                     return
+                self._on_hands(hands)
                 if held is not None:
                     self._hand_over(held)
                 if reading.text != seen:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable
 
 from modalities.audio import Chunk, Gap
+from modalities.capture import level_dbfs
 from modalities.own_voice import OwnVoice
 from modalities.voice import Heard, Recognizer
 from safety.vocabulary import Command, ManeuverRequest, Modality
@@ -29,11 +30,13 @@ class VoiceStream:
         began_s: float,
         on_request: Callable[[ManeuverRequest], None],
         on_partial: Callable[[str], None] = lambda _text: None,
+        on_level: Callable[[float], None] = lambda _level_dbfs: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         own_voice: OwnVoice | None = None,
         on_dropped: Callable[[str], None] = lambda _text: None,
     ) -> None:
-        """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change. on_end: called last,
+        """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change.
+        on_level: how loud each chunk is, in dB below full scale. on_end: called last,
         once, with the error that ended the stream, or None where the recording was played or `stop` was called.
 
         own_voice: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
@@ -45,6 +48,7 @@ class VoiceStream:
         self._began_s = began_s
         self._on_request = on_request
         self._on_partial = on_partial
+        self._on_level = on_level
         self._on_end = on_end
         self._own_voice = own_voice
         self._on_dropped = on_dropped
@@ -84,6 +88,7 @@ class VoiceStream:
             if isinstance(chunk, Gap):
                 self._recognizer.gap(chunk)
             else:
+                self._on_level(level_dbfs(chunk.samples))
                 self._hand_over(self._recognizer.accept(chunk, own_voice=self._speaks(heard_s, heard_s)))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial

@@ -13,6 +13,7 @@ import os
 import re
 import sys
 import threading
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -133,6 +134,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         hint = f"; did you mean {close[0]}?" if close else f"; {chosen.prog} --help lists what there is"
         kind = "option" if word.startswith("-") else "argument"
         chosen.error(f"{chosen.prog} has no {kind} {word}{hint}")
+    options.words = _joined(arguments)
     return options
 
 
@@ -154,11 +156,14 @@ def _parser() -> _Parser:
     parser.add_argument("--version", action="version", version=f"m3r {version('m3r')}")
     parser.set_defaults(parser=parser, run=_run_nothing)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _add_console(commands)
+    _add_serve(commands)
     _add_run(commands)
     _add_sim(commands)
     _add_check(commands)
     _add_models(commands)
     _add_evaluate(commands)
+    _add_report(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram", _run_modes)
     return parser
 
@@ -183,10 +188,40 @@ def _typed(parse: Callable[[str], object]) -> Callable[[str], object]:
 
 def _add_run(commands: Any) -> None:
     run = _add(commands, "run", "pair with a drone and fly what is asked for, as far as it is safe", _run_run)
-    file = _typed(parse_file)
     style = run.add_mutually_exclusive_group()
     style.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
     style.add_argument("--plain", action="store_true", help="every event is one sentence, for screen readers and logs")
+    sound = _add_flight(run)
+    sound.add_argument(
+        "--speak", dest="spoken", action="store_true", help="spoken cues, with --headless and --plain too"
+    )
+
+
+def _add_console(commands: Any) -> None:
+    console = _add(
+        commands, "console", "ask by keys, voice and hands, and see it all (m3r alone does this)", _run_console
+    )
+    _add_flight(console)
+    console.add_argument("--seat", type=_typed(parse_file), help=argparse.SUPPRESS)  # of `m3r serve`
+
+
+def _add_serve(commands: Any) -> None:
+    served = _add(
+        commands, "serve", "show the console in a browser on this computer, to one operator at a time", _run_serve
+    )
+    served.add_argument("--port", type=_typed(_port), default=8000, metavar="PORT", help="TCP port on loopback (8000)")
+    _add_flight(served)
+
+
+def _port(text: str) -> int:
+    from ui.serve import parse_port
+
+    return parse_port(text)
+
+
+def _add_flight(run: _Parser) -> Any:
+    """Returns the group of those options of which one excludes the others: what is heard of the flight."""
+    file = _typed(parse_file)
     run.add_argument(
         "--audio",
         type=_typed(parse_audio),
@@ -219,16 +254,11 @@ def _add_run(commands: Any) -> None:
         action="store_true",
         help="say what each request would become, and fly none (pairing still turns the drone to you)",
     )
-    sound = run.add_mutually_exclusive_group()
-    sound.add_argument("--quiet", dest="spoken", action="store_false", default=None, help="no spoken cues, no bell")
-    sound.add_argument(
-        "--speak",
-        dest="spoken",
-        action="store_true",
-        help="spoken cues with --headless and --plain too, quiet otherwise",
-    )
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
+    sound = run.add_mutually_exclusive_group()
+    sound.add_argument("--quiet", dest="spoken", action="store_false", default=None, help="no spoken cues, no bell")
+    return sound
 
 
 def _add_settings(command: _Parser) -> None:
@@ -274,14 +304,61 @@ def _add_evaluate(commands: Any) -> None:
     _add_settings(evaluate)
 
 
-def _run_nothing(options: argparse.Namespace) -> int:
-    options.parser.print_help(sys.stderr)
-    return BAD_INPUT
+def _add_report(commands: Any) -> None:
+    report = _add(commands, "report", "tell a recorded flight on one page (HTML)", _run_report)
+    report.add_argument("record", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
+    report.add_argument("--out", type=_typed(parse_file), metavar="PAGE", help="the page (FILE with .html)")
+
+
+def _run_nothing(_options: argparse.Namespace) -> int:
+    from ui.console.start import show
+
+    return show(RunOptions())
+
+
+def _run_console(options: argparse.Namespace) -> int:
+    from ui.console.start import show
+
+    return show(_asked(options), options.seat)
+
+
+def _run_serve(options: argparse.Namespace) -> int:
+    from ui.serve import serve
+
+    _asked(options)  # what is wrong with them is told here, not in the browser
+    return serve(_without(options.words, "--port"), options.port)
+
+
+def _without(words: Sequence[str], option: str) -> list[str]:
+    """The words after the command's name, without an option and its value."""
+    kept = list(words[1:])
+    while option in kept:
+        at = kept.index(option)
+        del kept[at : at + 2]
+    return [word for word in kept if not word.startswith(f"{option}=")]
 
 
 def _run_run(options: argparse.Namespace) -> int:
-    asked = RunOptions(
-        headless=options.headless,
+    asked = replace(_asked(options), headless=options.headless, plain=options.plain)
+    import asyncio
+
+    from m3r_app.app import run
+    from modalities.own_voice import OwnVoice
+    from ui.output import Output
+    from ui.speaker import spoken
+
+    own_voice = OwnVoice()
+    with Output(headless=asked.headless, plain=asked.plain) as output, spoken(asked, own_voice, _say) as hear:
+
+        def emit(event: dict[str, object]) -> None:
+            output.emit(event)
+            hear(event)
+
+        return asyncio.run(run(asked, emit, own_voice))
+
+
+def _asked(options: argparse.Namespace) -> RunOptions:
+    return RunOptions(
         audio=options.audio,
         video=options.video,
         script=options.script,
@@ -294,31 +371,10 @@ def _run_run(options: argparse.Namespace) -> int:
         takeoff_m=options.takeoff,
         apply_failsafe=options.apply_failsafe,
         dry_run=options.dry_run,
-        plain=options.plain,
         spoken=options.spoken,
         record=options.record,
         timeout_s=options.timeout,
     )
-    import asyncio
-    from contextlib import ExitStack
-
-    from m3r_app.app import run
-    from modalities.own_voice import OwnVoice
-    from ui.cues import Cues
-    from ui.output import Output
-    from ui.speaker import Speaker
-
-    own_voice = OwnVoice()
-    with ExitStack() as stack:
-        output = stack.enter_context(Output(headless=asked.headless, plain=asked.plain))
-        speaker = stack.enter_context(Speaker(Cues(dry_run=asked.dry_run).of, own_voice, _say)) if asked.aloud else None
-
-        def emit(event: dict[str, object]) -> None:
-            output.emit(event)
-            if speaker is not None:
-                speaker.hear(event)
-
-        return asyncio.run(run(asked, emit, own_voice))
 
 
 def _run_sim(options: argparse.Namespace) -> int:
@@ -354,6 +410,16 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from ui.models import evaluate
 
     evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture)
+    return 0
+
+
+def _run_report(options: argparse.Namespace) -> int:
+    from ui.report import write_report
+
+    page, broken = write_report(options.record, options.out)
+    if broken is not None:
+        _say(broken)
+    print(page)
     return 0
 
 

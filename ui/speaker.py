@@ -12,14 +12,18 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
-from ui.cues import Cue
+from ui.cues import Cue, Cues
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
+    from m3r_app.options import RunOptions
     from modalities.own_voice import OwnVoice
+
+    Hear = Callable[[Mapping[str, Any]], None]
 
 PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")
@@ -30,6 +34,16 @@ SHORTEST_S = 0.2
 """... and none is spoken faster: without a sound device espeak-ng ends at once, and calls that a success."""
 LOOK_S = 0.05
 CLOSE_S = 2.0
+
+
+@contextmanager
+def spoken(options: RunOptions, own_voice: OwnVoice, say: Callable[[str], None]) -> Iterator[Hear]:
+    """What is to be given every event of a run so that its cues are spoken, where they are. say: as of Speaker."""
+    if not options.aloud:
+        yield lambda _event: None
+        return
+    with Speaker(Cues(dry_run=options.dry_run).of, own_voice, say) as speaker:
+        yield speaker.hear
 
 
 class Speaker:

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from m3r_app.inputs import InputError, Inputs
+from m3r_app.inputs import InputError, Inputs, Senses
 
 
 async def test_a_voice_that_breaks_off_is_one_sentence_and_no_group() -> None:
@@ -16,4 +16,4 @@ async def test_a_voice_that_breaks_off_is_one_sentence_and_no_group() -> None:
 
     inputs = Inputs(voice=Torn())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="start again"):
-        await inputs.play(time.monotonic, lambda _request: None, lambda _words: None, lambda _shown: None)
+        await inputs.play(time.monotonic, lambda _request: None, Senses())

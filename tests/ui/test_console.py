@@ -1,0 +1,386 @@
+"""The console by keys and mouse, on a stage: what is asked, what is shown, and that STOP is always there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from textual.command import CommandPalette
+from textual.widgets import Button, Static
+
+from m3r_app.modes import State
+from m3r_app.preparation import Setting
+from safety.vocabulary import Command
+from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_picture, hillside, text_of
+from ui.console.keys import FLOOD, KEYS
+from ui.console.prompts import READ_S, Help, Question
+from ui.console.terminal import PlainSigns, is_plain, plain_signs
+
+SHORTENED: dict[str, Any] = {
+    "t": 12.3,
+    "event": "decision",
+    "request": "panel-1",
+    "verdict": "reduced",
+    "requested_m": 1.0,
+    "granted_m": 0.4,
+    "findings": [
+        {
+            "requirements": ["R3"],
+            "constraint": "obstacle_clearance",
+            "margin": -0.6,
+            "unit": "m",
+            "passed": False,
+            "text": "the wall: 0.6 m too near",
+        },
+        {
+            "requirements": ["R7"],
+            "constraint": "workspace",
+            "margin": 4.0,
+            "unit": "m",
+            "passed": True,
+            "text": "workspace: 4.0 m to spare",
+        },
+    ],
+}
+REJECTED = {**SHORTENED, "verdict": "rejected", "granted_m": None}
+STORY: list[Mapping[str, Any]] = [
+    {"t": 10.0, "event": "pair", "vehicle": "red", "status": "confirmed", "reasons": []},
+    {
+        "t": 12.3,
+        "event": "request",
+        "id": "panel-1",
+        "command": "go_right",
+        "modality": "panel",
+        "confidence": 1.0,
+        "evidence": "",
+        "latency_ms": 0.0,
+    },
+    SHORTENED,
+    {"t": 12.3, "event": "announce", "text": "Red: right 0.40 m of 1.00 m, the wall: 0.6 m too near"},
+]
+
+
+@pytest.fixture(scope="module")
+def setting() -> Setting:
+    return hillside()
+
+
+async def test_a_key_asks(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        for key in KEYS:
+            stage.now_s += 1.0
+            await pilot.press(key)
+    assert stage.commands == list(KEYS.values())
+
+
+@pytest.mark.parametrize("size", [SMALL, LARGE])
+async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, int]) -> None:
+    stage = Stage(flying_picture(setting))
+    asked = [command for command in Command if command not in (Command.ACTIVATE, Command.DISCONNECT)]
+    async with console(stage).run_test(size=size) as pilot:
+        for command in asked:
+            stage.now_s += 1.0
+            await pilot.click(f"#{command.value}")
+    assert stage.commands == asked
+
+
+async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting, paired=False))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        await pilot.pause(0.2)
+        await pilot.press("2")
+        stage.now_s += 1.0
+        await pilot.click("#pair-2")
+        stage.now_s += 1.0
+        await pilot.press("9")  # there is no ninth drone
+    assert stage.asked == [(Command.ACTIVATE, "green"), (Command.ACTIVATE, "blue")]
+
+
+async def test_stop_from_every_focus(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.pause(0.2)
+        for number, widget in enumerate(app.screen.focus_chain):
+            widget.focus()
+            stage.asked.clear()
+            await pilot.press(("space", "escape")[number % 2])
+            assert stage.commands == [Command.STOP], widget
+        for opens, screen, key in (
+            (opens, screen, key)
+            for opens, screen in (("question_mark", Help), ("x", Question), ("ctrl+p", CommandPalette))
+            for key in ("space", "escape")
+        ):
+            stage.now_s += 1.0
+            await pilot.press(opens)
+            await pilot.pause()
+            assert isinstance(app.screen, screen)
+            stage.asked.clear()
+            await pilot.press(key)
+            assert stage.commands == [Command.STOP], screen
+            await pilot.pause()
+            assert not isinstance(app.screen, screen)
+
+
+async def test_moves_are_not_flown_from_an_open_question(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        await pilot.press("x")
+        for key in KEYS:
+            await pilot.press(key)
+        await pilot.press("1")
+    assert stage.asked == []
+
+
+async def test_too_small_says_how_large_and_still_stops(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=(79, 24)) as pilot:
+        for size in ((79, 24), (80, 23), (20, 5), (1, 1)):
+            await pilot.resize_terminal(*size)
+            await pilot.pause(0.1)
+            said = str(app.screen.query_one("#too_small", Static).render())
+            assert f"{size[0]} x {size[1]}" in said
+            assert "80 x 24" in said
+            assert app.screen.query_one("#small").display
+            stage.asked.clear()
+            await pilot.press("space")
+            assert stage.commands == [Command.STOP]
+        await pilot.resize_terminal(*SMALL)
+        await pilot.pause(0.1)
+        assert not app.screen.query_one("#small").display
+
+
+async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> None:
+    """Also questions are not answered by it: nobody has read them."""
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        for _ in range(4):
+            await pilot.press("left", "right", "up", "c")
+            stage.now_s += 0.01
+        assert len(stage.asked) <= FLOOD
+        stage.asked.clear()
+        await pilot.press("space")
+        assert stage.commands == [Command.STOP]
+        stage.now_s += 10.0
+        await pilot.press("left")
+        assert stage.commands == [Command.STOP, Command.GO_LEFT]
+        stage.now_s += 10.0
+        await pilot.press("x", "y")
+        assert Command.DISCONNECT not in stage.commands
+
+
+async def test_a_held_key_asks_once(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        for _ in range(5):
+            await pilot.press("left")
+            stage.now_s += 0.2
+    assert stage.commands == [Command.GO_LEFT]
+
+
+async def test_disconnecting_and_leaving_are_confirmed_and_name_the_drone(
+    setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        for key, words in (("x", "Red: disconnect?"), ("q", "Red: leave?")):
+            stage.now_s += 1.0
+            await pilot.press(key)
+            await pilot.pause()
+            assert words in text_of(drawn(app))
+            await pilot.press("n")
+            await pilot.pause()
+            assert not stage.asked and not stage.quitted
+        stage.now_s += 1.0
+        await pilot.press("x")
+        await pilot.pause()
+        await pilot.press("y")
+        await pilot.pause()
+        assert stage.commands == [Command.DISCONNECT]
+        await pilot.press("q")
+        await pilot.pause()
+        await pilot.press("y")
+        await pilot.pause()
+        assert stage.quitted
+    assert READ_S > 0.2
+
+
+async def test_take_off_and_landing_are_confirmed_and_only_without_a_session(
+    setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.press("o")
+        await pilot.pause()
+        assert not isinstance(app.screen, Question)
+        stage.picture = flying_picture(setting, paired=False)
+        await pilot.pause(0.2)
+        stage.now_s += 1.0
+        await pilot.press("o")
+        await pilot.pause()
+        assert "Blue: take off to 5 m" in text_of(drawn(app))
+        await pilot.press("y")
+        await pilot.pause()
+        await pilot.press("l")
+        await pilot.pause()
+        await pilot.click("#yes-1")
+        await pilot.pause()
+    assert stage.ground == [("take off 5", "blue"), ("land", "green")]
+
+
+async def test_looking_first_shows_what_a_request_would_become(
+    setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=LARGE) as pilot:
+        await pilot.press("d")
+        await pilot.press("right")
+        await pilot.pause()
+        shown = text_of(drawn(app))
+        assert "Red: go right would be" in shown
+        assert "obstacle clearance" in shown
+        assert stage.asked == []
+        await pilot.press("n")
+        await pilot.pause()
+        assert stage.asked == []
+        stage.now_s += 1.0
+        await pilot.press("right")
+        await pilot.pause()
+        await pilot.press("y")
+        await pilot.pause()
+    assert stage.commands == [Command.GO_RIGHT]
+
+
+async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting) -> None:
+    for events, expected in ((STORY, 0), ([*STORY, REJECTED], 1)):
+        app = console(Stage(flying_picture(setting)), list(events))
+        async with app.run_test(size=SMALL) as pilot:
+            await pilot.pause(0.3)
+            toasts = list(app._notifications)
+            assert len(toasts) == expected
+            assert all(toast.message.startswith("Red: blocked, the wall") for toast in toasts)
+
+
+async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.press("ctrl+c")
+        await pilot.pause(0.3)
+    assert stage.interrupted
+    assert not app.is_running
+
+
+async def test_before_the_fleet_is_there_keys_do_no_harm() -> None:
+    stage = Stage(None)
+    async with console(stage).run_test(size=SMALL) as pilot:
+        await pilot.pause(0.2)
+        await pilot.press("x", "o", "l", "v", "plus", "minus", "t", "d", "left", "space", "q")
+        await pilot.pause()
+    assert stage.quitted
+    assert Command.STOP in stage.commands
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "theme", "paired", "state"),
+    [
+        ("unpaired", SMALL, "textual-dark", False, State.IDLE),
+        ("armed", SMALL, "textual-dark", True, State.ARMED),
+        ("executing", LARGE, "textual-light", True, State.EXECUTING),
+        ("emergency", LARGE, "textual-dark", True, State.EMERGENCY_HOLD),
+        ("side", SMALL, "textual-light", True, State.ARMED),
+        ("help", SMALL, "textual-dark", True, State.ARMED),
+    ],
+)
+async def test_the_screen_is_as_it_was(
+    setting: Setting, name: str, size: tuple[int, int], theme: str, paired: bool, state: State
+) -> None:
+    """M3R_UPDATE_SNAPSHOTS=1 renews them; look at them then."""
+    stage = Stage(flying_picture(setting, paired=paired, state=state))
+    app = console(stage, list(STORY) if paired else [])
+    async with app.run_test(size=size) as pilot:
+        app.theme = theme
+        if name == "side":
+            await pilot.press("v")
+        if name == "help":
+            await pilot.press("question_mark")
+        await pilot.pause(0.5)
+        svg = drawn(app)
+    path = SNAPSHOTS / f"{name}.svg"
+    if os.environ.get("M3R_UPDATE_SNAPSHOTS"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(svg)
+    assert text_of(svg) == text_of(path.read_text())
+    assert svg == path.read_text(), "the words are the same, the looks are not"
+
+
+async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LC_ALL", "C")
+    app = console(Stage(flying_picture(setting)), list(STORY))
+    assert app.plain
+    async with app.run_test(size=LARGE) as pilot:
+        await pilot.pause(0.4)
+        lines = [
+            PlainSigns().apply(list(strip), app.screen.styles.background)
+            for strip in app.screen._compositor.render_strips()
+        ]
+        assert all(segment.text.isascii() for line in lines for segment in line)
+        assert any(isinstance(one, PlainSigns) for one in app.get_line_filters())
+
+
+async def test_without_colour_the_signs_tell(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    picture = flying_picture(setting)
+    low = replace(picture, craft=(replace(picture.craft[0], battery=0.1, link_age_s=9.0), *picture.craft[1:]))
+    app = console(Stage(low), [*STORY, REJECTED])
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.pause(0.4)
+        shown = text_of(drawn(app))
+    assert "!battery" in shown
+    assert "!link age" in shown
+    assert "[Armed]" in shown
+    assert "rejected" in shown
+
+
+@pytest.mark.parametrize(
+    ("environment", "plain"),
+    [
+        ({"LANG": "en_US.UTF-8", "TERM": "xterm-256color"}, False),
+        ({"LANG": "C.UTF-8", "TERM": "xterm"}, False),
+        ({"LC_ALL": "C", "LANG": "en_US.UTF-8", "TERM": "xterm"}, True),
+        ({"LANG": "de_DE.ISO-8859-1", "TERM": "xterm"}, True),
+        ({"LANG": "de_DE@euro", "LC_ALL": "xx_YY.NO-SUCH", "TERM": "xterm"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "linux"}, True),
+        ({"TERM": "xterm"}, False),
+    ],
+)
+def test_a_terminal_tells_whether_it_knows_more_than_ascii(environment: dict[str, str], plain: bool) -> None:
+    assert is_plain(environment) is plain
+
+
+def test_plain_signs_keep_their_cells() -> None:
+    text = "█░←↑◆✓╭─╮⠿⠀é…"
+    assert plain_signs(text).isascii()
+    assert len(plain_signs(text)) == len(text)
+
+
+async def test_every_button_shows_its_whole_label(setting: Setting) -> None:
+    for size in (SMALL, LARGE):
+        app = console(Stage(flying_picture(setting)))
+        async with app.run_test(size=size) as pilot:
+            await pilot.pause(0.3)
+            for button in app.screen.query(Button):
+                label = str(button.label)
+                assert button.size.width >= max(map(len, label.splitlines())), (size, label)

@@ -1,0 +1,103 @@
+"""From options to a console on the screen and back: the run starts first and ends last."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import termios
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from m3r_app.live import Live
+from modalities.own_voice import OwnVoice
+from ui.console.app import KEPT_EVENTS, Console
+from ui.console.seat import Occupied, Seat
+from ui.console.terminal import log_path, own_screen, require_terminal
+from ui.narrator import sentence
+from ui.speaker import spoken
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from m3r_app.options import RunOptions
+
+LOOK_MS = 500
+LEAVE_S = 5.0
+"""The screen has so long to go after the run has ended."""
+GONE = 1
+ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
+"""The terminal is gone, or somebody wants the end: the drone is left in Hold first."""
+
+
+def show(options: RunOptions, seat_path: Path | None = None) -> int:
+    """Fly one run from the console; returns the exit status. seat_path: only one console may sit there at a time.
+
+    Raises what names bad input or a missing vehicle.
+    """
+    require_terminal(os.environ)
+    if seat_path is None:
+        return _fly(options, None)
+    with Seat(seat_path) as seat:
+        if seat.taken:
+            return _fly(options, seat)
+        with own_screen(log_path()):
+            Occupied(seat).run()
+    return 0
+
+
+def _watch(live: Live) -> None:
+    """End the run when nobody sees the screen any more, and the process when a screen that is gone keeps it.
+
+    Textual's writing thread dies of a terminal that is lost, and what draws then waits for it for ever.
+    """
+    terminal = select.poll()
+    terminal.register(0, 0)  # only a hang-up or an error
+    while not live.ended:
+        if terminal.poll(LOOK_MS):
+            live.interrupt()
+            break
+    try:
+        status = live.result()
+    except Exception:  # noqa: BLE001  (whoever is not stuck tells of it)
+        status = GONE
+    time.sleep(LEAVE_S)
+    os._exit(status)
+
+
+def _fly(options: RunOptions, seat: Seat | None) -> int:
+    events: deque[Mapping[str, Any]] = deque(maxlen=KEPT_EVENTS)
+    ended: list[str] = []
+    own_voice = OwnVoice()
+
+    def note(text: str) -> None:
+        events.append({"t": events[-1]["t"] if events else 0.0, "event": "announce", "text": text})
+
+    def take(event: Mapping[str, Any]) -> None:
+        events.append(event)
+        hear(event)
+        if event["event"] == "end":
+            ended.append(sentence(event) or "")
+
+    live = Live(options, take, own_voice)
+    for name in ENDING:
+        signal.signal(name, lambda *_: live.interrupt())
+    threading.Thread(target=_watch, args=(live,), name="terminal", daemon=True).start()
+    with own_screen(log_path()), spoken(options, own_voice, note) as hear:
+        live.start()
+        try:
+            Console(live, events, dry_run=options.dry_run, takeoff_m=options.takeoff_m, seat=seat).run()
+        except (OSError, termios.error):
+            live.interrupt()  # the terminal is gone
+        finally:
+            # Whatever became of the screen, the drone is left in Hold.
+            live.interrupt()
+            status = live.result()
+    try:
+        print("\n".join(ended), flush=True)
+    except OSError:  # nobody is there any more to read it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return status

@@ -1,0 +1,312 @@
+"""`m3r report`: one page about one flight, from its record. Self-contained: it fetches nothing, and opens anywhere.
+
+Drawn by plotly, filled in by jinja2, which escapes whatever was said or named in flight.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+import numpy as np
+import plotly.graph_objects as go
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+from plotly.subplots import make_subplots
+
+from m3r_app.recorder import RecordError, read_header, read_record
+from m3r_app.story import Asked, Story, number, place_of, story_of
+from ui.narrator import every_sentence, sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from m3r_app.recorder import RecordHeader
+
+MARK = "<!-- m3r flight report -->"
+"""A page with this in its first line is ours, and may be replaced."""
+INKS = {"approved": "#2a9d4a", "reduced": "#d79b00", "delayed": "#d79b00", "replaced": "#d79b00", "rejected": "#d62828"}
+SIGNS = {"approved": "circle", "reduced": "diamond", "delayed": "diamond", "replaced": "diamond", "rejected": "x"}
+BALL = 13
+"""Lines of the workspace's ball."""
+COLOURS = {"red": "#d62828", "green": "#2a9d4a", "blue": "#2b6cb0"}
+
+
+class ReportError(ValueError):
+    """A report that cannot be written; one sentence that names the file."""
+
+
+def write_report(record: Path, out: Path | None = None) -> tuple[Path, str | None]:
+    """Write the page; returns where, and what is to be said of the record (that it breaks off). Raises RecordError, ReportError."""
+    header = read_header(record)
+    page = out or record.with_suffix(".html")
+    _refuse_to_overwrite(page)
+    try:
+        story = story_of(read_record(record))
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(f"{record} holds a message that no m3r writes ({error!r}): is it a flight record?") from None
+    if not story.events:
+        raise RecordError(f"{record} holds no event: there is no story to tell")
+    try:
+        page.write_text(render(story, header, record.name), encoding="utf-8")
+    except OSError as error:
+        raise ReportError(f"report {page} cannot be written: {error.strerror}") from None
+    broken = None
+    if not header.complete:
+        broken = f"{record} breaks off after {story.length_s:.1f} s: the report tells it up to there"
+    return page, broken
+
+
+def render(story: Story, header: RecordHeader, name: str) -> str:
+    """The whole page."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(Path(__file__).with_name("report.html.j2").read_text(encoding="utf-8"))
+    scenario = header.metadata.get("scenario") or {}
+    return template.render(
+        mark=Markup(MARK),  # noqa: S704  (ours)
+        name=name,
+        app=header.metadata.get("app"),
+        scenario=scenario.get("name") if isinstance(scenario, dict) else None,
+        models=header.metadata.get("models") or [],
+        complete=header.complete,
+        story=story,
+        end=story.end,
+        told=[(f"{event['t']:.2f}", text) for event in story.events if (text := _told(event))],
+        requests=story.requests,
+        latencies=[
+            (modality, len(values), np.percentile(values, 50), np.percentile(values, 95))
+            for modality, values in story.latencies_ms().items()
+        ],
+        shown=shown,
+        plotly=Markup(get_plotlyjs()),  # noqa: S704  (plotly.js itself)
+        scene=_safe_json(scene(story, header.metadata)),
+        lines=_safe_json(time_lines(story)),
+    )
+
+
+def shown(value: object, places: int = 2, unit: str = "") -> str:
+    """A number for a reader; a dash where there is none."""
+    found = number(value)
+    return "–" if found is None else f"{found + 0.0:.{places}f}{unit}"
+
+
+def _told(event: Mapping[str, Any]) -> str | None:
+    return every_sentence(event) if event["event"] in ("pair", "motion", "mode") else sentence(event)
+
+
+def _safe_json(figure: go.Figure) -> Any:
+    """A figure as JSON that cannot end the script that it stands in."""
+    text = re.sub(r"[<>&\u2028\u2029]", lambda m: f"\\u{ord(m[0]):04x}", figure.to_json())
+    json.loads(text)
+    return Markup(text)  # noqa: S704  (what could end a script has just been escaped)
+
+
+# ---------------------------------------------------------------- the scene
+
+
+def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
+    """Ground, obstacles, path, plans, anchors, requests, neighbours: east, north, up in metres about the operator's origin."""
+    figure = go.Figure()
+    ground = metadata.get("ground")
+    if isinstance(ground, dict):
+        heights = np.array(ground["heights_m"], dtype=float)
+        figure.add_surface(
+            x=ground["easts_m"],
+            y=ground["norths_m"],
+            z=heights,
+            colorscale="Earth",
+            showscale=False,
+            opacity=0.9,
+            name="ground",
+            hovertemplate="ground %{z:.1f} m<extra></extra>",
+        )
+    for name, corners, base_m, top_m in _obstacles(metadata.get("world")):
+        figure.add_trace(_prism(name, corners, base_m, top_m))
+    if story.track.places:
+        _line(figure, story.track.places, "flown", "#1f77b4", 6)
+    for number_, (t_s, points) in enumerate(story.plans, start=1):
+        _line(figure, points, f"plan {number_} at {t_s:.1f} s", "#2a9d4a", 3, group="plans")
+    for name, track in story.neighbours.items():
+        _line(figure, track.places, name, COLOURS.get(name, "#7b5ea7"), 2)
+    if story.anchors:
+        places = [place for _, place, _ in story.anchors]
+        _marks(figure, places, [f"anchor at {t:.1f} s" for t, _, _ in story.anchors], "anchors", "cross", "#00a5cf")
+        _, place, radius_m = story.anchors[-1]
+        figure.add_trace(_ball(place, radius_m))
+    for verdict, ink in INKS.items():
+        asked = [r for r in story.requests if r.verdict == verdict and r.place is not None]
+        texts = [f"{r.t_s:.1f} s {r.command.replace('_', ' ')}: {verdict} {_metres(r)}" for r in asked]
+        _marks(figure, [r.place for r in asked], texts, f"{verdict} requests", SIGNS[verdict], ink)
+    operator = metadata.get("operator")
+    where = place_of(operator.get("position")) if isinstance(operator, dict) else None
+    if where is not None:
+        _marks(figure, [where], ["operator"], "operator", "circle", "#111111")
+    figure.update_layout(
+        scene={
+            "aspectmode": "data",
+            "xaxis": {"title": "east, m"},
+            "yaxis": {"title": "north, m"},
+            "zaxis": {"title": "up, m"},
+            "camera": {"eye": {"x": 0.2, "y": -0.9, "z": 0.5}},
+        },
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        legend={"itemsizing": "constant"},
+        height=560,
+        template="none",
+    )
+    return figure
+
+
+def _xyz(places: list[Any]) -> dict[str, list[float]]:
+    return {"x": [p[1] for p in places], "y": [p[0] for p in places], "z": [-p[2] for p in places]}
+
+
+def _line(figure: go.Figure, places: list[Any], name: str, ink: str, width: int, group: str | None = None) -> None:
+    if places:
+        figure.add_scatter3d(
+            **_xyz(places),
+            mode="lines",
+            name=name if group is None else group,
+            hovertext=name,
+            legendgroup=group or name,
+            showlegend=group is None or not any(trace.legendgroup == group for trace in figure.data),
+            line={"color": ink, "width": width},
+        )
+
+
+def _marks(figure: go.Figure, places: list[Any], texts: list[str], name: str, sign: str, ink: str) -> None:
+    if places:
+        figure.add_scatter3d(
+            **_xyz(places),
+            mode="markers",
+            name=name,
+            hovertext=texts,
+            hoverinfo="text",
+            marker={"symbol": sign, "size": 5, "color": ink},
+        )
+
+
+def _obstacles(world: Any) -> list[tuple[str, np.ndarray[Any, Any], float, float]]:
+    """Name, corners (n, 2) north and east, base and top above the local origin; as far as the record holds them."""
+    obstacles = world.get("obstacles") if isinstance(world, dict) else None
+    if not isinstance(obstacles, dict) or not obstacles.get("names"):
+        return []
+    try:
+        edges = np.array(obstacles["polygons"]["edges"], dtype=float)
+        firsts = [*map(int, obstacles["polygons"]["firsts"]), edges.shape[1]]
+        origin_m = float(obstacles["origin_amsl_m"])
+        return [
+            (str(name), edges[:2, firsts[i] : firsts[i + 1]].T, float(base) - origin_m, float(top) - origin_m)
+            for i, (name, base, top) in enumerate(
+                zip(obstacles["names"], obstacles["bases_amsl_m"], obstacles["tops_amsl_m"], strict=True)
+            )
+        ]
+    except (KeyError, TypeError, ValueError, IndexError):
+        return []
+
+
+def _prism(name: str, corners: np.ndarray[Any, Any], base_m: float, top_m: float) -> go.Mesh3d:
+    """The walls and the roof of one obstacle."""
+    n = len(corners)
+    x, y = [*corners[:, 1]] * 2, [*corners[:, 0]] * 2
+    z = [base_m] * n + [top_m] * n
+    walls = [(a, (a + 1) % n, a + n) for a in range(n)] + [((a + 1) % n, (a + 1) % n + n, a + n) for a in range(n)]
+    roof = [(n, n + a, n + a + 1) for a in range(1, n - 1)]
+    i, j, k = zip(*(walls + roof), strict=True)
+    return go.Mesh3d(
+        x=x, y=y, z=z, i=i, j=j, k=k, name=name, color="#b5651d", opacity=0.6, showlegend=True, hoverinfo="name"
+    )
+
+
+def _ball(place: Any, radius_m: float) -> go.Scatter3d:
+    """The workspace as lines of longitude and latitude."""
+    turn = np.linspace(0.0, 2.0 * math.pi, 37)
+    x: list[float] = []
+    y: list[float] = []
+    z: list[float] = []
+    for tilt in np.linspace(0.0, math.pi, BALL)[:-1]:
+        x += [*(place[1] + radius_m * np.cos(turn) * math.cos(tilt)), math.nan]
+        y += [*(place[0] + radius_m * np.cos(turn) * math.sin(tilt)), math.nan]
+        z += [*(-place[2] + radius_m * np.sin(turn)), math.nan]
+    line = {"color": "#00a5cf", "width": 1}
+    return go.Scatter3d(
+        x=x, y=y, z=z, mode="lines", name="last workspace", line=line, hoverinfo="name", connectgaps=False
+    )
+
+
+def _metres(asked: Asked) -> str:
+    granted, requested = (number(asked.decisions[-1].get(key)) for key in ("granted_m", "requested_m"))
+    if granted is None:
+        return "" if requested is None else f"of {requested:.2f} m"
+    return f"{granted:.2f} m" if requested is None else f"{granted:.2f} m of {requested:.2f} m"
+
+
+# ---------------------------------------------------------------- time lines
+
+
+def time_lines(story: Story) -> go.Figure:
+    """Mode, margins, confidence and speed over the same seconds."""
+    figure = make_subplots(
+        rows=4,
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=0.05,
+        row_heights=[0.24, 0.36, 0.2, 0.2],
+        subplot_titles=("mode", "margins, m (battery and link left out)", "confidence", "speed, m/s"),
+    )
+    if story.modes:
+        times = [t for t, _, _ in story.modes] + [story.length_s]
+        modes = [mode for _, mode, _ in story.modes]
+        states = [state for _, _, state in story.modes]
+        figure.add_scatter(
+            x=times,
+            y=[*modes, modes[-1]],
+            text=[*states, states[-1]],
+            mode="lines",
+            line_shape="hv",
+            name="mode",
+            row=1,
+            col=1,
+        )
+    for name, values in story.margins.items():
+        if name not in ("battery", "link age"):
+            figure.add_scatter(
+                x=[t for t, _ in values], y=[v for _, v in values], mode="lines", name=name, row=2, col=1
+            )
+    figure.add_hline(y=0.0, line_dash="dot", line_color="#d62828", row=2, col=1)
+    for modality in sorted({r.modality for r in story.requests}):
+        asked = [r for r in story.requests if r.modality == modality]
+        figure.add_scatter(
+            x=[r.t_s for r in asked],
+            y=[r.confidence for r in asked],
+            text=[r.command.replace("_", " ") for r in asked],
+            mode="markers",
+            name=modality,
+            row=3,
+            col=1,
+        )
+    figure.add_scatter(x=story.track.times_s, y=story.track.speeds_m_s, mode="lines", name="speed", row=4, col=1)
+    figure.update_xaxes(title_text="s since the start", row=4, col=1)
+    figure.update_yaxes(range=[-0.05, 1.05], row=3, col=1)
+    figure.update_layout(
+        height=820, margin={"l": 60, "r": 10, "t": 30, "b": 40}, template="none", hovermode="x unified"
+    )
+    return figure
+
+
+def _refuse_to_overwrite(page: Path) -> None:
+    """A report may replace an older one, never another file."""
+    if page.is_dir():
+        raise ReportError(f"report {page} is a folder: name a file with --out")
+    if page.is_file() and page.stat().st_size:
+        with page.open("rb") as file:
+            if MARK.encode() not in file.read(200):
+                raise ReportError(f"report {page} would overwrite a file that is no report: name another with --out")
