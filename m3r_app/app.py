@@ -82,11 +82,11 @@ class Run:
 
     def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
         self.options = options
-        self._own_voice = own_voice
         self.setting: Setting | None = None
         """Once it is known."""
         self.senses = Taken()
         """What the modalities take in."""
+        self._own_voice = own_voice
         self.clock = time.monotonic
         self.started_s = self.clock()
         self._loop = asyncio.get_running_loop()

@@ -34,8 +34,9 @@ class Live:
     """Start it, ask it, look at it, end it. Every method may be called from any thread."""
 
     def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
-        """emit: takes the objects of the machine-readable output, in the run's own thread; it may not block. own_voice: as
-        `m3r_app.app.run` takes it.
+        """emit: takes the objects of the machine-readable output, in the run's own thread; it may not block.
+
+        own_voice: when whoever speaks for us did, by `time.monotonic`.
         """
         self.clock = time.monotonic
         self.picture: Picture | None = None

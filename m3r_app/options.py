@@ -63,10 +63,10 @@ class RunOptions:
     """Decide and tell, but fly nothing of what is asked."""
     plain: bool = False
     """Every event one sentence, for screen readers and logs."""
-    spoken: bool | None = None
-    """Whether short cues are spoken; None: unless `headless` or `plain`."""
     console: bool = False
     """Somebody sits at the console: the run goes on until they end it, played inputs or not."""
+    spoken: bool | None = None
+    """Whether short cues are spoken; None: unless `headless` or `plain`."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None

@@ -191,10 +191,7 @@ def _add_run(commands: Any) -> None:
     style = run.add_mutually_exclusive_group()
     style.add_argument("--headless", action="store_true", help="print one JSON object per line instead of sentences")
     style.add_argument("--plain", action="store_true", help="every event is one sentence, for screen readers and logs")
-    sound = _add_flight(run)
-    sound.add_argument(
-        "--speak", dest="spoken", action="store_true", help="spoken cues, with --headless and --plain too"
-    )
+    _add_flight(run)
 
 
 def _add_console(commands: Any) -> None:
@@ -219,8 +216,7 @@ def _port(text: str) -> int:
     return parse_port(text)
 
 
-def _add_flight(run: _Parser) -> Any:
-    """Returns the group of those options of which one excludes the others: what is heard of the flight."""
+def _add_flight(run: _Parser) -> None:
     file = _typed(parse_file)
     run.add_argument(
         "--audio",
@@ -254,11 +250,16 @@ def _add_flight(run: _Parser) -> Any:
         action="store_true",
         help="say what each request would become, and fly none (pairing still turns the drone to you)",
     )
-    run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
-    run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
     sound = run.add_mutually_exclusive_group()
     sound.add_argument("--quiet", dest="spoken", action="store_false", default=None, help="no spoken cues, no bell")
-    return sound
+    sound.add_argument(
+        "--speak",
+        dest="spoken",
+        action="store_true",
+        help="spoken cues with --headless and --plain too, quiet otherwise",
+    )
+    run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
+    run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
 
 
 def _add_settings(command: _Parser) -> None:
@@ -345,15 +346,13 @@ def _run_run(options: argparse.Namespace) -> int:
     from m3r_app.app import run
     from modalities.own_voice import OwnVoice
     from ui.output import Output
-    from ui.speaker import spoken
+    from ui.speaker import speaking
 
     own_voice = OwnVoice()
-    with Output(headless=asked.headless, plain=asked.plain) as output, spoken(asked, own_voice, _say) as hear:
-
-        def emit(event: dict[str, object]) -> None:
-            output.emit(event)
-            hear(event)
-
+    with (
+        Output(headless=asked.headless, plain=asked.plain) as output,
+        speaking(asked, own_voice, _say, output.emit) as emit,
+    ):
         return asyncio.run(run(asked, emit, own_voice))
 
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from m3r_app.options import RunOptions
     from modalities.own_voice import OwnVoice
 
-    Hear = Callable[[Mapping[str, Any]], None]
-
 PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")
 """An English voice at 165 words per minute; the text comes by standard input."""
@@ -34,16 +32,6 @@ SHORTEST_S = 0.2
 """... and none is spoken faster: without a sound device espeak-ng ends at once, and calls that a success."""
 LOOK_S = 0.05
 CLOSE_S = 2.0
-
-
-@contextmanager
-def spoken(options: RunOptions, own_voice: OwnVoice, say: Callable[[str], None]) -> Iterator[Hear]:
-    """What is to be given every event of a run so that its cues are spoken, where they are. say: as of Speaker."""
-    if not options.aloud:
-        yield lambda _event: None
-        return
-    with Speaker(Cues(dry_run=options.dry_run).of, own_voice, say) as speaker:
-        yield speaker.hear
 
 
 class Speaker:
@@ -188,6 +176,23 @@ class Speaker:
             self._say(
                 f"cues are not spoken, {why}, or give --quiet; until then the terminal's bell rings for urgent ones"
             )
+
+
+@contextmanager
+def speaking(
+    options: RunOptions, own_voice: OwnVoice, say: Callable[[str], None], emit: Callable[[dict[str, Any]], None]
+) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """An `emit` that also speaks, where these options want cues. say: told once what keeps them from being spoken."""
+    if not options.aloud:
+        yield emit
+        return
+    with Speaker(Cues(dry_run=options.dry_run).of, own_voice, say) as speaker:
+
+        def both(event: dict[str, Any]) -> None:
+            emit(event)
+            speaker.hear(event)
+
+        yield both
 
 
 def bell() -> None:

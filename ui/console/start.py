@@ -17,7 +17,7 @@ from ui.console.app import KEPT_EVENTS, Console
 from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal
 from ui.narrator import sentence
-from ui.speaker import spoken
+from ui.speaker import speaking
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,22 +71,31 @@ def _watch(live: Live) -> None:
 def _fly(options: RunOptions, seat: Seat | None) -> int:
     events: deque[Mapping[str, Any]] = deque(maxlen=KEPT_EVENTS)
     ended: list[str] = []
-    own_voice = OwnVoice()
-
-    def note(text: str) -> None:
-        events.append({"t": events[-1]["t"] if events else 0.0, "event": "announce", "text": text})
 
     def take(event: Mapping[str, Any]) -> None:
         events.append(event)
-        hear(event)
         if event["event"] == "end":
             ended.append(sentence(event) or "")
 
-    live = Live(options, take, own_voice)
+    def trouble(text: str) -> None:
+        take({"t": time.monotonic() - began_s, "event": "announce", "text": text})
+
+    own_voice, began_s = OwnVoice(), time.monotonic()
+    with speaking(options, own_voice, trouble, take) as emit:
+        status = _shown(options, Live(options, emit, own_voice), events, seat)
+    try:
+        print("\n".join(ended), flush=True)
+    except OSError:  # nobody is there any more to read it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return status
+
+
+def _shown(options: RunOptions, live: Live, events: deque[Mapping[str, Any]], seat: Seat | None) -> int:
+    """The run with its screen, to the end of both."""
     for name in ENDING:
         signal.signal(name, lambda *_: live.interrupt())
     threading.Thread(target=_watch, args=(live,), name="terminal", daemon=True).start()
-    with own_screen(log_path()), spoken(options, own_voice, note) as hear:
+    with own_screen(log_path()):
         live.start()
         try:
             Console(live, events, dry_run=options.dry_run, takeoff_m=options.takeoff_m, seat=seat).run()
@@ -96,8 +105,4 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
             # Whatever became of the screen, the drone is left in Hold.
             live.interrupt()
             status = live.result()
-    try:
-        print("\n".join(ended), flush=True)
-    except OSError:  # nobody is there any more to read it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     return status
