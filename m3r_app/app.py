@@ -15,13 +15,12 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
 from importlib.metadata import version
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app import failsafe
 from m3r_app.airspace import LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
-from m3r_app.ground import ground_about
 from m3r_app.guard import Guard
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.modes import State
@@ -32,10 +31,13 @@ from m3r_app.plain import plain
 from m3r_app.preparation import Setting, prepare
 from m3r_app.recorder import Recorder
 from m3r_app.shell import Recording, Shell, request_event
+from m3r_app.stage import stage_of
 from m3r_app.vehicle import VehicleError
 from modalities.gestures import Hand
 from modalities.own_voice import OwnVoice
-from safety.vocabulary import Ned
+
+if TYPE_CHECKING:
+    from m3r_app.viewer import Viewer
 
 INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
 """Exit statuses of the contract; the highest that applies."""
@@ -94,7 +96,7 @@ class Run:
         self.quitted = asyncio.Event()
         """The operator at the console has had enough: a normal end."""
         self._emit = emit
-        self._recording: Recorder | None = None
+        self._sinks: list[Recorder | Viewer] = []
         self.shell: Shell | None = None
 
     # ------------------------------------------------------------ output
@@ -106,8 +108,8 @@ class Run:
         self._emit({"t": round(now_s - self.started_s, 3), "event": event, **plain(fields, lossless=False)})
 
     def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
-        if self._recording is not None:
-            self._recording.record(topic, t_s - self.started_s, data)
+        for sink in self._sinks:
+            sink.record(topic, t_s - self.started_s, data)
 
     def refuse_to_suspend(self) -> None:
         self.emit("announce", {"text": "a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C"})
@@ -148,8 +150,8 @@ class Run:
         """The last object, the record closed, and the highest status that applies. Raises `failure` if nothing is higher."""
         tally = self.shell.state.tally if self.shell is not None else Tally()
         self.emit("end", {"reason": reason, **plain(tally, lossless=False)})
-        if self._recording is not None:
-            self._recording.close()
+        for sink in self._sinks:
+            sink.close()
         if reason == "interrupted":
             return INTERRUPTED
         if tally.violations:
@@ -169,7 +171,8 @@ class Run:
             stack.callback(inputs.close)
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
-            self._recording = await _in_thread(lambda: self._open_record(setting, inputs))
+            await _in_thread(lambda: self._open_sinks(setting, inputs))
+            self.record("stage", self.clock(), stage_of(setting))
             fleet = await self._connect(setting, stack)
             guard = Guard(self._say_soon)
             guard.start()
@@ -188,9 +191,16 @@ class Run:
 
     # ------------------------------------------------------------ before flying
 
-    def _open_record(self, setting: Setting, inputs: Inputs) -> Recorder | None:
+    def _open_sinks(self, setting: Setting, inputs: Inputs) -> None:
+        """The record and the live view, as asked for."""
+        if self.options.view_port is not None:
+            from m3r_app.viewer import Viewer  # loads Foxglove's library
+
+            viewer = Viewer(self.options.view_port)
+            self._sinks.append(viewer)
+            self._say_soon(f"the flight is shown at {viewer.address}: open that connection in Foxglove")
         if self.options.record is None:
-            return None
+            return
         metadata: dict[str, object] = {
             "app": version("m3r"),
             "settings": setting.settings.model_dump(),
@@ -199,11 +209,8 @@ class Run:
             "origin": setting.frame.origin,
             "world": setting.world,
             "models": list(inputs.models),
-            "ground": ground_about(
-                setting.world, setting.operator.position if setting.operator else Ned(0.0, 0.0, 0.0)
-            ),
         }
-        return Recorder(self.options.record, metadata, self._say_soon)
+        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon))
 
     async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
         if self.options.vehicles:

@@ -34,5 +34,5 @@ def ground_about(world: World, centre: Ned, reach_m: float = REACH_M) -> Ground 
     north, east = np.meshgrid(norths, easts, indexing="ij")
     points = np.stack([north.ravel(), east.ravel(), np.zeros(north.size)], axis=1)
     # At the origin's level, the height above ground is how far the ground lies below.
-    heights = -world.terrain.agl_m(points).reshape(north.shape)
+    heights = np.round(-world.terrain.agl_m(points).reshape(north.shape), 2)
     return Ground(norths, easts, heights)

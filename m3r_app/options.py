@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 TAKEOFF_M = (1.0, 120.0)
 TIMEOUT_S = (0.1, 86_400.0)
 ALTITUDE_M = (-500.0, 9000.0)
+PORTS = (1, 65535)
 STANDARD_INPUT = Path("-")
 
 
@@ -67,6 +68,8 @@ class RunOptions:
     """Somebody sits at the console: the run goes on until they end it, played inputs or not."""
     spoken: bool | None = None
     """Whether short cues are spoken; None: unless `headless` or `plain`."""
+    view_port: int | None = None
+    """Show the flight in 3D on this TCP port of loopback."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None
@@ -117,6 +120,13 @@ def parse_place(text: str) -> Geodetic:
 def parse_takeoff(text: str) -> float:
     """A height to take off to, m."""
     return _within("take-off height", _number(text), TAKEOFF_M, "m")
+
+
+def parse_port(text: str) -> int:
+    """A TCP port."""
+    if not (text.isascii() and text.isdecimal() and PORTS[0] <= int(text) <= PORTS[1]):
+        raise OptionError(f"{text!r} is no port: give a number from {PORTS[0]} to {PORTS[1]}")
+    return int(text)
 
 
 def parse_timeout(text: str) -> float:

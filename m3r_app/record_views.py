@@ -1,7 +1,7 @@
 """Copies of recorded messages in Foxglove's well-known schemas (JSON encoding), for maps, 3D scenes and logs. Pure.
 
 Frames: "local" is east, north, up (m) about the session's origin; each drone has a frame of its own, x forward.
-Source: Foxglove's message schema reference (LocationFix, FrameTransform, PoseInFrame, SceneUpdate, Log).
+Source: Foxglove's message schema reference (LocationFix, FrameTransform, PoseInFrame, Log; the scene is in `scene_views`).
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ def views(topic: str, data: Mapping[str, Any], log_ns: int) -> list[View]:
             return _telemetry(data, stamp)
         case "setpoint":
             return _setpoint(data, stamp)
-        case "plan":
-            return _plan(data, stamp)
         case "announce":
             return [_log(INFO, str(data.get("text", "")), stamp)]
         case "mode":
@@ -51,7 +49,7 @@ def _telemetry(data: Mapping[str, Any], stamp: dict[str, int]) -> list[View]:
     name = str(data.get("vehicle", "drone"))
     found = []
     place: Any = data.get("geodetic")
-    if _numbers(place, 3):
+    if numbers(place, 3):
         variance_h, variance_v = (_square(data.get(key)) for key in ("sigma_h_m", "sigma_v_m"))
         known = variance_h is not None and variance_v is not None
         fix = {
@@ -64,50 +62,23 @@ def _telemetry(data: Mapping[str, Any], stamp: dict[str, int]) -> list[View]:
             "position_covariance_type": 2 if known else 0,
         }
         found.append(View(f"{name}/fix", "foxglove.LocationFix", fix))
-    if _numbers(data.get("position"), 3) and _numbers([data.get("yaw_deg")], 1):
+    if numbers(data.get("position"), 3) and numbers([data.get("yaw_deg")], 1):
         frame = {
             "timestamp": stamp,
             "parent_frame_id": LOCAL,
             "child_frame_id": name,
-            "translation": _enu(data["position"]),
-            "rotation": _heading(data["yaw_deg"]),
+            "translation": enu(data["position"]),
+            "rotation": heading(data["yaw_deg"]),
         }
         found.append(View(f"{name}/frame", "foxglove.FrameTransform", frame))
     return found
 
 
 def _setpoint(data: Mapping[str, Any], stamp: dict[str, int]) -> list[View]:
-    if not (_numbers(data.get("position"), 3) and _numbers([data.get("yaw_deg")], 1)):
+    if not (numbers(data.get("position"), 3) and numbers([data.get("yaw_deg")], 1)):
         return []
-    pose = {"position": _enu(data["position"]), "orientation": _heading(data["yaw_deg"])}
+    pose = {"position": enu(data["position"]), "orientation": heading(data["yaw_deg"])}
     return [View("setpoint", "foxglove.PoseInFrame", {"timestamp": stamp, "frame_id": LOCAL, "pose": pose})]
-
-
-def _plan(data: Mapping[str, Any], stamp: dict[str, int]) -> list[View]:
-    points = data.get("points_ned_m")
-    if not isinstance(points, list) or not points or not all(_numbers(point, 3) for point in points):
-        return []
-    line = {
-        "type": 0,
-        "pose": {"position": _xyz(0, 0, 0), "orientation": _heading(90)},
-        "thickness": 0.05,
-        "scale_invariant": False,
-        "points": [_enu(point) for point in points],
-        "color": {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0},
-        "colors": [],
-        "indices": [],
-    }
-    entity: dict[str, Any] = {
-        "timestamp": stamp,
-        "frame_id": LOCAL,
-        "id": "plan",
-        "lifetime": {"sec": 0, "nsec": 0},
-        "frame_locked": False,
-        "metadata": [],
-        **{kind: [] for kind in ("arrows", "cubes", "spheres", "cylinders", "triangles", "texts", "models")},
-        "lines": [line],
-    }
-    return [View("plan", "foxglove.SceneUpdate", {"deletions": [], "entities": [entity]})]
 
 
 def _log(level: int, text: str, stamp: dict[str, int]) -> View:
@@ -119,7 +90,7 @@ def _words(items: object) -> str:
     return ", ".join(map(str, items)) if isinstance(items, list) and items else "an unnamed limit"
 
 
-def _numbers(value: object, count: int) -> bool:
+def numbers(value: object, count: int) -> bool:
     return (
         isinstance(value, (list, tuple))
         and len(value) == count
@@ -131,83 +102,15 @@ def _square(value: object) -> float | None:
     return float(value) ** 2 if isinstance(value, (int, float)) and math.isfinite(value) else None
 
 
-def _xyz(x: float, y: float, z: float) -> dict[str, float]:
+def xyz(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def _enu(ned: Sequence[float]) -> dict[str, float]:
-    return _xyz(ned[1], ned[0], -ned[2])
+def enu(ned: Sequence[float]) -> dict[str, float]:
+    return xyz(ned[1], ned[0], -ned[2])
 
 
-def _heading(yaw_deg: float) -> dict[str, float]:
+def heading(yaw_deg: float) -> dict[str, float]:
     """The rotation about up that turns x (east) to the compass heading."""
     half = math.radians(90.0 - yaw_deg) / 2.0
     return {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-def _array(items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_NUMBER = {"type": "number"}
-_INTEGER = {"type": "integer"}
-_STRING = {"type": "string"}
-_BOOLEAN = {"type": "boolean"}
-_TIME = {"title": "time", **_object(sec=_INTEGER, nsec=_INTEGER)}
-_DURATION = {"title": "duration", **_object(sec=_INTEGER, nsec=_INTEGER)}
-_VECTOR = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_QUATERNION = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-_POSE = _object(position=_VECTOR, orientation=_QUATERNION)
-_COLOUR = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-_LINE = _object(
-    type=_INTEGER,
-    pose=_POSE,
-    thickness=_NUMBER,
-    scale_invariant=_BOOLEAN,
-    points=_array(_VECTOR),
-    color=_COLOUR,
-    colors=_array(_COLOUR),
-    indices=_array(_INTEGER),
-)
-_ENTITY = _object(
-    timestamp=_TIME,
-    frame_id=_STRING,
-    id=_STRING,
-    lifetime=_DURATION,
-    frame_locked=_BOOLEAN,
-    metadata=_array(_object(key=_STRING, value=_STRING)),
-    **{kind: _array(_object()) for kind in ("arrows", "cubes", "spheres", "cylinders", "triangles", "texts", "models")},
-    lines=_array(_LINE),
-)
-
-SCHEMAS: dict[str, dict[str, Any]] = {
-    "foxglove.LocationFix": _object(
-        timestamp=_TIME,
-        frame_id=_STRING,
-        latitude=_NUMBER,
-        longitude=_NUMBER,
-        altitude=_NUMBER,
-        position_covariance=_array(_NUMBER),
-        position_covariance_type=_INTEGER,
-    ),
-    "foxglove.FrameTransform": _object(
-        timestamp=_TIME,
-        parent_frame_id=_STRING,
-        child_frame_id=_STRING,
-        translation=_VECTOR,
-        rotation=_QUATERNION,
-    ),
-    "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_STRING, pose=_POSE),
-    "foxglove.SceneUpdate": _object(
-        deletions=_array(_object(timestamp=_TIME, type=_INTEGER, id=_STRING)),
-        entities=_array(_ENTITY),
-    ),
-    "foxglove.Log": _object(
-        timestamp=_TIME, level=_INTEGER, message=_STRING, name=_STRING, file=_STRING, line=_INTEGER
-    ),
-}
-"""JSON schemas by Foxglove's names; what this module writes of them."""

@@ -28,7 +28,9 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from m3r_app.plain import plain, restored
-from m3r_app.record_views import SCHEMAS, views
+from m3r_app.record_views import views
+from m3r_app.scene_views import Scene
+from m3r_app.view_schemas import SCHEMAS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -84,6 +86,7 @@ class Recorder:
             raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._scene = Scene()
         self._thread = threading.Thread(target=self._run, name="m3r-recorder", daemon=True)
         self._thread.start()
 
@@ -132,7 +135,7 @@ class Recorder:
     def _write(self, topic: str, t_s: float, log_ns: int, data: Mapping[str, object]) -> None:
         message = plain(dict(data), lossless=True) | {"t": t_s}
         self._add(topic, f"m3r.{topic}", message, log_ns)
-        for view in views(topic, message, log_ns):
+        for view in (*views(topic, message, log_ns), *self._scene.views(topic, message, log_ns)):
             self._add(f"{VIEW_PREFIX}{view.topic}", view.schema, view.message, log_ns)
 
     def _write_gap(self, t_s: float, log_ns: int) -> None:

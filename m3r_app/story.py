@@ -30,6 +30,8 @@ class Asked:
     latency_ms: float | None
     place: Place | None
     """Where the drone was."""
+    confirmed: float | None = None
+    """Confidence after a second modality confirmed it."""
     decisions: list[Mapping[str, Any]] = field(default_factory=list)
     motions: list[Mapping[str, Any]] = field(default_factory=list)
 
@@ -67,6 +69,8 @@ class Story:
     anchors: list[tuple[float, Place, float]] = field(default_factory=list)
     """When, where, radius of the workspace."""
     margins: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
+    stage: Mapping[str, Any] = field(default_factory=dict)
+    """What stands still, as `m3r_app.stage` made it."""
     gaps: int = 0
     """Messages that the record says it lacks."""
 
@@ -97,6 +101,8 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
         if topic in EVENTS:
             story.events.append({"t": t_s, "event": topic, **data})
         match topic:
+            case "request" if str(data["id"]) in by_id:
+                by_id[str(data["id"])].confirmed = number(data.get("confidence"))
             case "request":
                 asked = Asked(
                     t_s,
@@ -114,6 +120,8 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
                 by_id[data["request"]].decisions.append(data)
             case "motion" if data["request"] in by_id:
                 by_id[data["request"]].motions.append(data)
+            case "stage":
+                story.stage = data
             case "mode":
                 story.modes.append((t_s, str(data["mode"]), str(data["state"])))
             case "telemetry":

@@ -26,6 +26,7 @@ from m3r_app.options import (
     parse_colour,
     parse_file,
     parse_place,
+    parse_port,
     parse_takeoff,
     parse_timeout,
     parse_vehicles,
@@ -206,14 +207,10 @@ def _add_serve(commands: Any) -> None:
     served = _add(
         commands, "serve", "show the console in a browser on this computer, to one operator at a time", _run_serve
     )
-    served.add_argument("--port", type=_typed(_port), default=8000, metavar="PORT", help="TCP port on loopback (8000)")
+    served.add_argument(
+        "--port", type=_typed(parse_port), default=8000, metavar="PORT", help="TCP port on loopback (8000)"
+    )
     _add_flight(served)
-
-
-def _port(text: str) -> int:
-    from ui.serve import parse_port
-
-    return parse_port(text)
 
 
 def _add_flight(run: _Parser) -> None:
@@ -257,6 +254,14 @@ def _add_flight(run: _Parser) -> None:
         dest="spoken",
         action="store_true",
         help="spoken cues with --headless and --plain too, quiet otherwise",
+    )
+    run.add_argument(
+        "--view",
+        type=_typed(parse_port),
+        nargs="?",
+        const=8765,
+        metavar="PORT",
+        help="show the flight live in 3D to Foxglove on this computer (8765)",
     )
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
@@ -371,6 +376,7 @@ def _asked(options: argparse.Namespace) -> RunOptions:
         apply_failsafe=options.apply_failsafe,
         dry_run=options.dry_run,
         spoken=options.spoken,
+        view_port=options.view,
         record=options.record,
         timeout_s=options.timeout,
     )

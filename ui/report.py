@@ -31,6 +31,8 @@ MARK = "<!-- m3r flight report -->"
 """A page with this in its first line is ours, and may be replaced."""
 INKS = {"approved": "#2a9d4a", "reduced": "#d79b00", "delayed": "#d79b00", "replaced": "#d79b00", "rejected": "#d62828"}
 SIGNS = {"approved": "circle", "reduced": "diamond", "delayed": "diamond", "replaced": "diamond", "rejected": "x"}
+SCENE_M = 30.0
+"""So far about the middle of the path the scene shows ground and neighbours."""
 BALL = 13
 """Lines of the workspace's ball."""
 COLOURS = {"red": "#d62828", "green": "#2a9d4a", "blue": "#2b6cb0"}
@@ -87,7 +89,7 @@ def render(story: Story, header: RecordHeader, name: str) -> str:
         ],
         shown=shown,
         plotly=Markup(get_plotlyjs()),  # noqa: S704  (plotly.js itself)
-        scene=_safe_json(scene(story, header.metadata)),
+        scene=_safe_json(scene(story)),
         lines=_safe_json(time_lines(story)),
     )
 
@@ -112,30 +114,33 @@ def _safe_json(figure: go.Figure) -> Any:
 # ---------------------------------------------------------------- the scene
 
 
-def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
+def scene(story: Story) -> go.Figure:
     """Ground, obstacles, path, plans, anchors, requests, neighbours: east, north, up in metres about the operator's origin."""
     figure = go.Figure()
-    ground = metadata.get("ground")
+    middle = np.mean(story.track.places, axis=0) if story.track.places else np.zeros(3)
+    ground = story.stage.get("ground")
     if isinstance(ground, dict):
-        heights = np.array(ground["heights_m"], dtype=float)
+        norths, easts, heights = (np.array(ground[key], dtype=float) for key in ("norths_m", "easts_m", "heights_m"))
+        rows, columns = _near(norths, middle[0]), _near(easts, middle[1])
         figure.add_surface(
-            x=ground["easts_m"],
-            y=ground["norths_m"],
-            z=heights,
+            x=easts[columns],
+            y=norths[rows],
+            z=heights[np.ix_(rows, columns)],
             colorscale="Earth",
             showscale=False,
             opacity=0.9,
             name="ground",
             hovertemplate="ground %{z:.1f} m<extra></extra>",
         )
-    for name, corners, base_m, top_m in _obstacles(metadata.get("world")):
-        figure.add_trace(_prism(name, corners, base_m, top_m))
+    for one in story.stage.get("obstacles") or []:
+        figure.add_trace(_prism(one["name"], np.array(one["corners_ne_m"]), one["base_m"], one["top_m"]))
     if story.track.places:
         _line(figure, story.track.places, "flown", "#1f77b4", 6)
     for number_, (t_s, points) in enumerate(story.plans, start=1):
         _line(figure, points, f"plan {number_} at {t_s:.1f} s", "#2a9d4a", 3, group="plans")
     for name, track in story.neighbours.items():
-        _line(figure, track.places, name, COLOURS.get(name, "#7b5ea7"), 2)
+        near = [place for place in track.places if math.dist(place[:2], middle[:2]) <= SCENE_M]
+        _line(figure, near, name, COLOURS.get(name, "#7b5ea7"), 2)
     if story.anchors:
         places = [place for _, place, _ in story.anchors]
         _marks(figure, places, [f"anchor at {t:.1f} s" for t, _, _ in story.anchors], "anchors", "cross", "#00a5cf")
@@ -145,8 +150,7 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
         asked = [r for r in story.requests if r.verdict == verdict and r.place is not None]
         texts = [f"{r.t_s:.1f} s {r.command.replace('_', ' ')}: {verdict} {_metres(r)}" for r in asked]
         _marks(figure, [r.place for r in asked], texts, f"{verdict} requests", SIGNS[verdict], ink)
-    operator = metadata.get("operator")
-    where = place_of(operator.get("position")) if isinstance(operator, dict) else None
+    where = place_of(story.stage.get("operator"))
     if where is not None:
         _marks(figure, [where], ["operator"], "operator", "circle", "#111111")
     figure.update_layout(
@@ -155,7 +159,7 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
             "xaxis": {"title": "east, m"},
             "yaxis": {"title": "north, m"},
             "zaxis": {"title": "up, m"},
-            "camera": {"eye": {"x": 0.2, "y": -0.9, "z": 0.5}},
+            "camera": {"eye": {"x": 0.5, "y": -1.0, "z": 0.5}},
         },
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
         legend={"itemsizing": "constant"},
@@ -163,6 +167,11 @@ def scene(story: Story, metadata: Mapping[str, Any]) -> go.Figure:
         template="none",
     )
     return figure
+
+
+def _near(along: np.ndarray[Any, Any], middle: float) -> np.ndarray[Any, Any]:
+    """Indices of what is in the scene."""
+    return np.flatnonzero(np.abs(along - middle) <= SCENE_M)
 
 
 def _xyz(places: list[Any]) -> dict[str, list[float]]:
@@ -192,25 +201,6 @@ def _marks(figure: go.Figure, places: list[Any], texts: list[str], name: str, si
             hoverinfo="text",
             marker={"symbol": sign, "size": 5, "color": ink},
         )
-
-
-def _obstacles(world: Any) -> list[tuple[str, np.ndarray[Any, Any], float, float]]:
-    """Name, corners (n, 2) north and east, base and top above the local origin; as far as the record holds them."""
-    obstacles = world.get("obstacles") if isinstance(world, dict) else None
-    if not isinstance(obstacles, dict) or not obstacles.get("names"):
-        return []
-    try:
-        edges = np.array(obstacles["polygons"]["edges"], dtype=float)
-        firsts = [*map(int, obstacles["polygons"]["firsts"]), edges.shape[1]]
-        origin_m = float(obstacles["origin_amsl_m"])
-        return [
-            (str(name), edges[:2, firsts[i] : firsts[i + 1]].T, float(base) - origin_m, float(top) - origin_m)
-            for i, (name, base, top) in enumerate(
-                zip(obstacles["names"], obstacles["bases_amsl_m"], obstacles["tops_amsl_m"], strict=True)
-            )
-        ]
-    except (KeyError, TypeError, ValueError, IndexError):
-        return []
 
 
 def _prism(name: str, corners: np.ndarray[Any, Any], base_m: float, top_m: float) -> go.Mesh3d:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 from aiohttp import web
 from textual_serve.server import Server
 
-from m3r_app.options import OptionError
 from m3r_app.ports import require_free
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 HOST = "127.0.0.1"
-PORTS = (1, 65535)
 POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "font-src 'self' data:; connect-src 'self' ws://127.0.0.1:{port}"
@@ -83,13 +81,6 @@ class Console(Server):
     async def _with_policy(self, _request: web.Request, response: web.StreamResponse) -> None:
         response.headers["Content-Security-Policy"] = POLICY.format(port=self.port)
         response.headers["X-Frame-Options"] = "DENY"
-
-
-def parse_port(text: str) -> int:
-    """A TCP port."""
-    if not (text.isdecimal() and PORTS[0] <= int(text) <= PORTS[1]):
-        raise OptionError(f"--port {text} is no port: give a number from {PORTS[0]} to {PORTS[1]}")
-    return int(text)
 
 
 def serve(words: Sequence[str], port: int) -> int:

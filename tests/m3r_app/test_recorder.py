@@ -21,8 +21,8 @@ from mcap.reader import make_reader
 
 from m3r_app import recorder as recorder_module
 from m3r_app.plain import ARRAY_LENGTH, plain, restored
-from m3r_app.record_views import SCHEMAS
 from m3r_app.recorder import SCHEMA_VERSION, Recorder, RecordError, read_header, read_record
+from m3r_app.view_schemas import SCHEMAS
 from safety.vocabulary import Finding, Ned, VehicleState
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -159,7 +159,7 @@ def test_other_readers_open_it(tmp_path: Path) -> None:
     assert frame["rotation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}  # nose east is no turn from x
     north = seen["/view/setpoint"][1]["pose"]["orientation"]
     assert (north["z"], north["w"]) == (pytest.approx(math.sqrt(0.5)), pytest.approx(math.sqrt(0.5)))
-    (entity,) = seen["/view/plan"][1]["entities"]
+    (entity,) = seen["/view/scene/plan"][1]["entities"]
     assert entity["lines"][0]["points"][1] == {"x": 1.0, "y": 0.0, "z": 5.0}
     stamp = fix["timestamp"]
     assert abs(stamp["sec"] + stamp["nsec"] / 1e9 - time.time()) < 60
