@@ -46,7 +46,7 @@ demo: setup
 	fi
 
 test: models
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup
+	@$(BIN)/python -m pytest -n 3 --dist loadgroup
 
 soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600

@@ -1,5 +1,6 @@
 """What is spoken of a run: short cues, named by the drone's colour, in the operator's directions. Pure.
 
+The words are chosen by what real recognition makes of them: "other aircraft" became *go left* and "waits, Blue" *activate blue*.
 A cue must never be a request: the word *stop* is not in it (it says *holding*), and no phrase of `modalities.phrases` is, as a
 whole or in part, so a name that holds a word of them is not spoken either. Source: R1, X4.
 """
@@ -53,7 +54,7 @@ _REASON: dict[str, tuple[str, str]] = {
     "terrain_clearance": ("ground too near", "ground unknown"),
     "agl": ("too low", "ground unknown"),
     "obstacle_clearance": ("{something} too near", "surroundings unknown"),
-    "separation": ("{other aircraft} too near", "other aircraft unknown"),
+    "separation": ("{others} too near", "others unknown"),
     "reservation": ("held by others", "not free"),
     "workspace": ("edge of the workspace", "position unknown"),
     "session": ("too far away", "position unknown"),
@@ -63,7 +64,7 @@ _REASON: dict[str, tuple[str, str]] = {
     "input_confidence": ("not sure what you asked", "ask again"),
     "localization": ("position uncertain", "position unknown"),
     "terrain_confidence": ("ground uncertain", "ground unknown"),
-    "neighbour_age": ("{other aircraft} silent", "other aircraft silent"),
+    "neighbour_age": ("{others} silent", "others silent"),
     "authority": ("not yours", "not yours"),
     "paired": ("not paired", "not paired"),
 }
@@ -82,8 +83,8 @@ _ANNOUNCED: tuple[tuple[str, str, bool, bool], ...] = (
     (": lost, silent for", "lost", True, True),
     ("you are not heard until it is back", "You are not heard", False, True),
     ("is back: you are heard again", "You are heard again", False, False),
-    ("voice is off", "Voice is off", False, True),
-    ("hands are off", "Hands are off", False, True),
+    ("voice is off", "Voice is lost", False, True),
+    ("hands are off", "Hands are lost", False, True),
     (": hands are not seen", "Hands are not seen", False, True),
     ("gives pictures again", "Hands are seen again", False, False),
 )
@@ -155,7 +156,7 @@ class Cues:
             return Cue("No drone is paired", urgent=True)
         why = ", ".join(_why(failing, modality))
         if event["verdict"] == "delayed":
-            return self._named(f"{yes} waits, {why}")
+            return self._named(f"{yes} in a moment, {why}")
         if event["verdict"] == "replaced":
             return self._named(f"{no}, {why}, slower is offered")
         unsure = "input_confidence" in constraints

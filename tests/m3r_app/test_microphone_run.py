@@ -68,6 +68,7 @@ def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
     assert ran.events[-1]["violations"] == 0
 
 
+@pytest.mark.soak
 def test_push_to_talk_in_a_terminal(server: SoundServer) -> None:
     """Only what is said between one Enter and the next is asked for."""
 

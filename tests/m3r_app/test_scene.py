@@ -218,7 +218,7 @@ async def watched(port: int, wanted: set[str], then: Any = None) -> dict[str, di
 
 async def test_a_flight_live_and_the_same_in_its_record(tmp_path: Path) -> None:
     port, record = free_port(), tmp_path / "flight.mcap"
-    script = "0.5 panel go left\n4.0 panel go up\n"
+    script = "0.5 panel go left\n"
     app = App(
         ["run", "--headless", "--pair", "red", "--script", "-", "--view", str(port), "--record", str(record)],
         stdin=script,

@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from m3r_app.app import run
 from m3r_app.options import RunOptions
 from tests.whole import PLAIN, simulated
@@ -13,6 +15,7 @@ from tests.whole import PLAIN, simulated
 STALL_S = 2.5
 
 
+@pytest.mark.soak
 async def test_a_blocked_event_loop_is_held_by_the_guard(tmp_path: Path) -> None:
     """Whoever takes the app's output blocks the whole loop: the drone is in Hold within a second all the same."""
     script = tmp_path / "script.txt"

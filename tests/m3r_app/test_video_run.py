@@ -12,7 +12,7 @@ import cv2
 import pytest
 
 from config.settings import load_settings
-from m3r_app.inputs import Hands
+from m3r_app.inputs import Hands, Senses
 from modalities.models import ModelError, find_hand_model
 from modalities.video import Frame, VideoFile
 from safety.vocabulary import Command, ManeuverRequest
@@ -68,7 +68,7 @@ async def test_the_settings_of_gestures_reach_the_hands(tmp_path: Path) -> None:
     hands = Hands(video, gesture, time.monotonic, lambda _sentence: None)
     assert hands.sentences[1] == f"watching {video}, mirrored: hold a gesture for 0.6 s"
     try:
-        assert await hands.play(time.monotonic(), time.monotonic, requests.append, seen.append) is None
+        assert await hands.play(time.monotonic(), time.monotonic, requests.append, Senses(shown=seen.append)) is None
     finally:
         hands.close()
     assert [(r.command, r.evidence) for r in requests] == [(Command.GO_RIGHT, "index finger right, held 0.6 s")]
@@ -142,6 +142,7 @@ async def test_a_live_stream_that_breaks_is_told_and_ends_nothing() -> None:
     hands.close()
 
 
+@pytest.mark.soak
 def test_a_video_that_breaks_off_is_told_and_the_rest_flies(tmp_path: Path) -> None:
     """Half of a file: hands are off, the script's move is completed, and the file was bad input all the same."""
     whole = cut(tmp_path / "whole.avi", (5.2, 5.9))

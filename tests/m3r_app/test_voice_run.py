@@ -44,6 +44,7 @@ def check(ran: Ran, commands: list[str]) -> None:
     assert ran.events[-1]["violations"] == 0
 
 
+@pytest.mark.soak
 def test_real_people_fly_the_drone(tmp_path: Path) -> None:
     """Three people: up, then left and stop in mid-move; somebody's other word asks for nothing."""
     if not SPEECH.is_dir():

@@ -14,6 +14,8 @@ from modalities.script import read_script
 from modalities.video import VideoFile
 from safety.vocabulary import Modality
 
+pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
+
 DEMO = Path(__file__).parents[2] / "config" / "demo"
 
 

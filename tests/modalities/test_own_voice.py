@@ -31,6 +31,7 @@ TABLE = PhraseTable(("red", "green", "blue"))
 SAMPLE = (
     "Red: left, forty centimetres, wall ahead", "Red: up refused, ground too near", "Red: holding, Blue too near",
     "Red: left turn", "Red: going on, fifteen centimetres", "Red: back, one metre", "Red: not sure what you said",
+    "Blue: forward in a moment, others too near",
 )  # fmt: skip
 SUREST_MOVE = 0.3
 """Even if it were not dropped, what is made of a cue must be far below the confidence that a move needs (0.7)."""

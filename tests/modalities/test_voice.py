@@ -23,6 +23,8 @@ from modalities.voice import CLOSE_AFTER_S, Heard, Hypothesis, Recognizer, confi
 from modalities.voice_stream import VoiceStream
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
+pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
+
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "tests" / "recordings"
 DEMO = ROOT / "config" / "demo"

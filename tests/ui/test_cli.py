@@ -247,14 +247,6 @@ def test_faults_in_threads_and_logs_are_lines() -> None:
     ]
 
 
-def test_bare_m3r_prints_help() -> None:
-    done = m3r()
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert "run" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_version_and_modes() -> None:
     assert m3r("--version").stdout.startswith("m3r ")
     printed = m3r("modes")

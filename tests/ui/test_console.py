@@ -19,6 +19,8 @@ from ui.console.keys import FLOOD, KEYS
 from ui.console.prompts import READ_S, Help, Question
 from ui.console.terminal import PlainSigns, is_plain, plain_signs
 
+pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
+
 SHORTENED: dict[str, Any] = {
     "t": 12.3,
     "event": "decision",

@@ -164,6 +164,10 @@ def served(*arguments: str) -> Iterator[str]:
     try:
         assert process.stdout is not None
         assert f"127.0.0.1:{port}" in process.stdout.readline()
+        deadline_s = time.monotonic() + PATIENCE_S
+        while socket.socket().connect_ex(("127.0.0.1", port)) != 0:  # it has said so a moment before
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
         yield f"http://127.0.0.1:{port}"
     finally:
         process.terminate()

@@ -1,0 +1,117 @@
+"""Makes the pictures of the README: the real console and a real report, on the simulated fleet.
+
+python scripts/screenshots.py        needs chromium, which turns SVG and HTML into PNG
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from m3r_app.live import Live
+from m3r_app.options import RunOptions
+from ui.console.app import Console
+from ui.report import write_report
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+LARGE, SMALL = (140, 45), (80, 24)
+PATIENCE_S = 60.0
+TRIES = 8
+
+
+async def fly(folder: Path, size: tuple[int, int], theme: str, picture: Path) -> Path:
+    """Pair with red and go right until the wall shortens it; the screen while that is flown. Returns the flight record."""
+    record = folder / f"{picture.stem}.mcap"
+    shown: deque[Any] = deque()
+    live = Live(RunOptions(record=record, spoken=False), shown.append)
+    live.start()
+    app = Console(live, shown)
+    verdicts: list[str] = []
+    async with app.run_test(size=size) as pilot:
+        app.theme = theme
+
+        async def until(condition: Callable[[], bool]) -> None:
+            end_s = time.monotonic() + PATIENCE_S
+            while not condition():
+                if time.monotonic() > end_s or live.ended:
+                    raise SystemExit("the flight did not go as it should")
+                await pilot.pause(0.1)
+
+        def state() -> str:
+            return live.picture.state.state.value if live.picture is not None else ""
+
+        await until(lambda: live.picture is not None)
+        await pilot.pause(0.5)
+        await pilot.press("1")
+        await until(lambda: state() == "ManeuverRequestArmed")
+        log = app.screen.query_one("#log")
+        for _ in range(TRIES):
+            await pilot.press("right")
+            await until(lambda: state() == "ExecutingBoundedMotion")
+            await pilot.pause(1.0)
+            verdicts = [line.text for line in log.lines]  # type: ignore[attr-defined]
+            if any("reduced" in line for line in verdicts):
+                break
+            await until(lambda: state() == "ManeuverRequestArmed")
+        svg = re.sub(r"@font-face \{.*?\}", "", app.export_screenshot(title="M3R"), flags=re.DOTALL)
+        picture.write_text(svg, encoding="utf-8")
+        await until(lambda: state() == "ManeuverRequestArmed")
+        live.quit()
+        await until(lambda: True)
+    live.result()
+    return record
+
+
+def main() -> int:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        raise SystemExit("chromium is not installed: apt-get install chromium")
+    DOCS.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        folder = Path(name)
+        gl = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = playwright.chromium.launch(executable_path=chromium, args=gl)
+
+        def png(source: Path, target: str, width_px: int, height_px: int, ready: str | None = None) -> None:
+            page = browser.new_page(viewport={"width": width_px, "height": height_px})
+            page.goto(source.as_uri())
+            if ready is not None:
+                page.wait_for_selector(ready)
+                page.wait_for_timeout(1500)
+            page.screenshot(path=DOCS / target)
+            page.close()
+
+        large, small = folder / "console.svg", folder / "console-small.svg"
+        record = _in_thread(fly(folder, LARGE, "textual-dark", large))
+        _in_thread(fly(folder, SMALL, "textual-light", small))
+        png(large, "console.png", 1250, 830)
+        png(small, "console-small.png", 760, 490)
+        page, _ = write_report(record)
+        png(page, "report.png", 1100, 830, "body[data-drawn=yes]")
+        browser.close()
+    return 0
+
+
+def _in_thread(work: Any) -> Any:
+    """Playwright has an event loop of its own in this thread."""
+    import threading
+
+    found: list[Any] = []
+    thread = threading.Thread(target=lambda: found.append(asyncio.run(work)))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
