@@ -179,7 +179,7 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path) -> None:
             if topic == "end":
                 for key in ("requests", "approved", "completed", "aborted", "rejected", "violations"):
                     assert page.locator(f"#end-{key}").inner_text() == str(data[key])
-        assert page.locator("#requests").evaluate("e => e.scrollWidth") <= width_px
+        assert page.locator("#requests").evaluate("e => e.scrollWidth") <= 1200
         decided = page.evaluate(
             "figures.lines.data.filter(t => t.name.endsWith('decided')).map(t => [t.name, [...t.y]])"
         )
@@ -202,6 +202,7 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path) -> None:
         assert {"approved requests", "reduced requests", "rejected requests"} <= set(drawn)
         assert page.locator("#latencies tbody tr").inner_text().split() == ["voice", "3", "200", "290"]
         page.set_viewport_size({"width": 400, "height": 800})
+        assert page.locator("#requests").evaluate("e => e.scrollWidth") <= 400
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         browser.close()
     assert faults == []
