@@ -46,6 +46,7 @@ class Scene:
     def __init__(self) -> None:
         self._place: list[float] | None = None
         self._decision: Mapping[str, Any] = {}
+        self._name = ""
         self._trail: deque[tuple[float, list[float]]] = deque()
 
     def views(self, topic: str, data: Mapping[str, Any], log_ns: int) -> list[View]:
@@ -71,13 +72,16 @@ class Scene:
         if not numbers(place, 3) or not isinstance(t_s, (int, float)):
             return []
         assert isinstance(place, list)
+        name = str(data.get("vehicle", "drone"))
+        if name != self._name:
+            self._name = name
+            self._trail.clear()
         self._place = place
         if self._trail and t_s - self._trail[-1][0] < TRAIL_EVERY_S:
             return []
         self._trail.append((t_s, place))
         while t_s - self._trail[0][0] > TRAIL_S:
             self._trail.popleft()
-        name = str(data.get("vehicle", "drone"))
         arrow = {
             "pose": _pose(),
             "shaft_length": 0.5,
@@ -112,6 +116,7 @@ class Scene:
         gone = ["refused"]
         first, last = points[0], points[-1]
         length_m, requested_m = math.dist(first, last), self._decision.get("requested_m")
+        self._decision = {}  # of this plan only: a way back has none
         if isinstance(requested_m, (int, float)) and length_m > 0.01 and requested_m > length_m + 0.01:
             far = [a + (b - a) * requested_m / length_m for a, b in zip(first, last, strict=True)]
             entities.append(_entity("refused", stamp, lines=[_line([last, far], "refused", 0.06)]))
