@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 
 from m3r_app.live import Live
 from m3r_app.options import RunOptions
@@ -77,40 +77,31 @@ def main() -> int:
     if chromium is None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
     DOCS.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        gl = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=chromium, args=gl)
-
-        def png(source: Path, target: str, width_px: int, height_px: int, ready: str | None = None) -> None:
-            page = browser.new_page(viewport={"width": width_px, "height": height_px})
-            page.goto(source.as_uri())
-            if ready is not None:
-                page.wait_for_selector(ready)
-                page.wait_for_timeout(1500)
-            page.screenshot(path=DOCS / target)
-            page.close()
-
         large, small = folder / "console.svg", folder / "console-small.svg"
-        record = _in_thread(fly(folder, LARGE, "textual-dark", large))
-        _in_thread(fly(folder, SMALL, "textual-light", small))
-        png(large, "console.png", 1250, 830)
-        png(small, "console-small.png", 760, 490)
+        record = asyncio.run(fly(folder, LARGE, "textual-dark", large))
+        asyncio.run(fly(folder, SMALL, "textual-light", small))
         page, _ = write_report(record)
-        png(page, "report.png", 1100, 830, "body[data-drawn=yes]")
-        browser.close()
+        gl = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium, args=gl)
+            png(browser, large, "console.png", (1250, 830))
+            png(browser, small, "console-small.png", (760, 490))
+            png(browser, page, "report.png", (1100, 830), "body[data-drawn=yes]")
+            browser.close()
     return 0
 
 
-def _in_thread(work: Any) -> Any:
-    """Playwright has an event loop of its own in this thread."""
-    import threading
-
-    found: list[Any] = []
-    thread = threading.Thread(target=lambda: found.append(asyncio.run(work)))
-    thread.start()
-    thread.join()
-    return found[0]
+def png(browser: Browser, source: Path, target: str, size_px: tuple[int, int], ready: str | None = None) -> None:
+    """A picture of a page, once what it waits for is there."""
+    page = browser.new_page(viewport={"width": size_px[0], "height": size_px[1]})
+    page.goto(source.as_uri())
+    if ready is not None:
+        page.wait_for_selector(ready)
+        page.wait_for_timeout(1500)
+    page.screenshot(path=DOCS / target)
+    page.close()
 
 
 if __name__ == "__main__":
