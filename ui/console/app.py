@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from ui.console.seat import Seat
 
 REFRESH_S = 0.1
-DRAW_EVERY = 3
-"""Views are drawn at every third look."""
+TURNS = ("#above", "#side", "#skeleton")
+"""What is drawn at a look; so each is drawn at every third."""
 LARGE = (120, 40)
 """From this size on everything is shown at once."""
 KEPT_EVENTS = 2000
@@ -190,26 +190,30 @@ class Flying(Screen[None]):
         self._show("#modes", panels.modes(picture))
         self._show("#senses", panels.senses(picture, self._last, facts))
         self._looks += 1
-        if picture is not None and self._looks % DRAW_EVERY == 0 and not self.has_class("too-small"):
-            self._draw(picture)
+        if picture is not None and not self.has_class("too-small"):
+            self._draw(picture, self._looks % len(TURNS))
 
-    def _draw(self, picture: Picture) -> None:
+    def _draw(self, picture: Picture, turn: int) -> None:
+        """One view at a time, in turns: a key waits for no more than one."""
+        selector = TURNS[turn]
+        view = self.query_one(selector)
+        if not view.display:
+            return
+        if isinstance(view, Skeleton):
+            view.draw(picture.taken.hands)
+        if not isinstance(view, View):
+            return
         reach_m = self._reach_m or reach_of_all(picture)
-        plain = bool(getattr(self.app, "plain", False))
-        above, side = self.query_one("#above", View), self.query_one("#side", View)
-        drawing = None
-        if above.display:
-            drawing = from_above(picture, reach_m, above.aspect, self._asked)
-            above.draw(drawing, plain=plain)
-        if side.display:
-            profile = from_side(picture, reach_m if not above.display else 0.6 * reach_m, side.aspect, self._asked)
-            side.draw(profile, plain=plain)
-            drawing = drawing or profile
-        if drawing is not None:
+        above = selector == "#above"
+        both = self.has_class("large")
+        drawing = (
+            from_above(picture, reach_m, view.aspect, self._asked)
+            if above
+            else from_side(picture, 0.6 * reach_m if both else reach_m, view.aspect, self._asked)
+        )
+        view.draw(drawing, plain=bool(getattr(self.app, "plain", False)))
+        if above or not both:
             self._show("#caption", Text(drawing.caption, style="dim", no_wrap=True, overflow="ellipsis"))
-        skeleton = self.query_one("#skeleton", Skeleton)
-        if skeleton.display:
-            skeleton.draw(picture.taken.hands)
 
     def _show(self, selector: str, text: Text) -> None:
         """Update only what has changed."""
