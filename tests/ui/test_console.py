@@ -93,7 +93,7 @@ async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, in
 async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
     stage = Stage(flying_picture(setting, paired=False))
     async with console(stage).run_test(size=SMALL) as pilot:
-        await pilot.pause(0.2)
+        await pilot.pause(0.3)
         await pilot.press("2")
         stage.now_s += 1.0
         await pilot.click("#pair-2")
@@ -106,7 +106,7 @@ async def test_stop_from_every_focus(setting: Setting) -> None:
     stage = Stage(flying_picture(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
-        await pilot.pause(0.2)
+        await pilot.pause(0.3)
         for number, widget in enumerate(app.screen.focus_chain):
             widget.focus()
             stage.asked.clear()
@@ -226,7 +226,7 @@ async def test_take_off_and_landing_are_confirmed_and_only_without_a_session(
         await pilot.pause()
         assert not isinstance(app.screen, Question)
         stage.picture = flying_picture(setting, paired=False)
-        await pilot.pause(0.2)
+        await pilot.pause(0.3)
         stage.now_s += 1.0
         await pilot.press("o")
         await pilot.pause()
@@ -280,7 +280,7 @@ async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("ctrl+c")
-        await pilot.pause(0.3)
+        await pilot.pause(0.5)
     assert stage.interrupted
     assert not app.is_running
 
@@ -288,7 +288,7 @@ async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -
 async def test_before_the_fleet_is_there_keys_do_no_harm() -> None:
     stage = Stage(None)
     async with console(stage).run_test(size=SMALL) as pilot:
-        await pilot.pause(0.2)
+        await pilot.pause(0.3)
         await pilot.press("x", "o", "l", "v", "plus", "minus", "t", "d", "left", "space", "q")
         await pilot.pause()
     assert stage.quitted
@@ -318,7 +318,7 @@ async def test_the_screen_is_as_it_was(
             await pilot.press("v")
         if name == "help":
             await pilot.press("question_mark")
-        await pilot.pause(0.5)
+        await pilot.pause(1.2)
         svg = drawn(app)
     path = SNAPSHOTS / f"{name}.svg"
     if os.environ.get("M3R_UPDATE_SNAPSHOTS"):

@@ -37,9 +37,10 @@ if TYPE_CHECKING:
     from m3r_app.picture import Picture
     from ui.console.seat import Seat
 
-REFRESH_S = 0.1
-TURNS = ("#above", "#side", "#skeleton")
-"""What is drawn at a look; so each is drawn at every third."""
+REFRESH_S = 0.2
+"""Faster than this nobody reads, and drawing shares the interpreter with the control loop."""
+TURNS = ("#above", "#side", "#above", "#skeleton")
+"""What is drawn at one look after another."""
 LARGE = (120, 40)
 """From this size on everything is shown at once."""
 KEPT_EVENTS = 2000
@@ -161,6 +162,7 @@ class Flying(Screen[None]):
             yield Static(id="too_small", markup=False)
 
     def on_mount(self) -> None:
+        self.call_later(self.look)
         self.set_interval(REFRESH_S, self.look)
         self.query_one("#log").can_focus = True
         self.query_one("#stop").focus()
