@@ -35,6 +35,7 @@ from m3r_app.stage import stage_of
 from m3r_app.vehicle import VehicleError
 from modalities.gestures import Hand
 from modalities.own_voice import OwnVoice
+from modalities.push_to_talk import PushToTalk
 
 if TYPE_CHECKING:
     from m3r_app.viewer import Viewer
@@ -86,6 +87,8 @@ class Run:
         self.options = options
         self.setting: Setting | None = None
         """Once it is known."""
+        self.talk: PushToTalk | None = None
+        """What opens the microphone, where it is the console that does."""
         self.senses = Taken()
         """What the modalities take in."""
         self._own_voice = own_voice
@@ -169,6 +172,7 @@ class Run:
                 )
             )
             stack.callback(inputs.close)
+            self.talk = inputs.talk
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
             await _in_thread(lambda: self._open_sinks(setting, inputs))

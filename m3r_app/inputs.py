@@ -26,6 +26,7 @@ T = TypeVar("T")
 Sink = Callable[[ManeuverRequest], None]
 Told = Callable[[str], None]
 Clock = Callable[[], float]
+CONSOLE_KEY = "m"
 TAIL_S = 1.0
 """Quiet after a recording, so that its last words end."""
 WHILE_SPOKEN = "heard while a cue was spoken"
@@ -69,6 +70,8 @@ class Inputs:
     hands: Hands | None = None
     sentences: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
+    talk: PushToTalk | None = None
+    """Whose key is somebody else's: the console's."""
 
     async def play(self, clock: Clock, sink: Sink, senses: Senses) -> str | None:
         """Hand every request to `sink` at its time, and what is heard and seen to `senses`.
@@ -296,6 +299,8 @@ def _post(loop: asyncio.AbstractEventLoop, call: Callable[[T], None], value: T) 
 
 def _key(talk: PushToTalk, options: RunOptions) -> str:
     """Give push-to-talk its key, where there is a keyboard. Returns what to tell the operator."""
+    if options.console:
+        return "push-to-talk: press m to speak and m again when you have spoken; until then a spoken stop is not heard"
     if sys.stdin is None or not sys.stdin.isatty() or options.script == STANDARD_INPUT:
         return "push-to-talk has no key, since standard input is no terminal: the microphone stays closed"
     talk.follow(sys.stdin.fileno())
@@ -322,10 +327,13 @@ def open_inputs(
     sentences: list[str] = []
     voice: Voice | None = None
     hands: Hands | None = None
+    talk: PushToTalk | None = None
     if options.audio is not None:
         try:
             talk = (
-                PushToTalk(say) if settings.voice.push_to_talk and isinstance(options.audio, LiveMicrophone) else None
+                PushToTalk(say, CONSOLE_KEY if options.console else "Enter")
+                if settings.voice.push_to_talk and isinstance(options.audio, LiveMicrophone)
+                else None
             )
             voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None, own_voice)
             sentences += voice.sentences
@@ -344,4 +352,4 @@ def open_inputs(
                 voice.close()
             raise
     models = tuple(one.model for one in (voice, hands) if one is not None)
-    return Inputs(script, voice, hands, tuple(sentences), models)
+    return Inputs(script, voice, hands, tuple(sentences), models, talk)

@@ -87,6 +87,10 @@ class Live:
         """Land where it is. Confirmed by whoever calls; only in NormalAutonomy (design 15)."""
         self._post(lambda _: self._ground.land(colour) if self._ground is not None else None)
 
+    def talk(self) -> None:
+        """Open or close a push-to-talk microphone; without one, nothing."""
+        self._post(lambda run: run.talk.toggle() if run.talk is not None else None)
+
     def quit(self) -> None:
         """The operator leaves: the drone is left in Hold, and that is a normal end. Returns at once."""
         if self.picture is None:

@@ -16,8 +16,9 @@ LOOK_S = 0.2
 class PushToTalk:
     """Whether the operator is to be heard now; closed at first. Any thread."""
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        """say: told, in a sentence, whenever it changes."""
+    def __init__(self, say: Callable[[str], None], key: str = "Enter") -> None:
+        """say: told, in a sentence, whenever it changes. key: the name of the key that toggles it."""
+        self._key = key
         self._open = threading.Event()
         self._say = say
 
@@ -30,13 +31,13 @@ class PushToTalk:
             self.close()
         else:
             self._open.set()
-            self._say("the microphone is open: press Enter when you have spoken")
+            self._say(f"the microphone is open: press {self._key} when you have spoken")
 
     def close(self) -> None:
         """From now on nothing is heard."""
         if self._open.is_set():
             self._open.clear()
-            self._say("the microphone is closed, a spoken stop too is not heard: press Enter to speak")
+            self._say(f"the microphone is closed, a spoken stop too is not heard: press {self._key} to speak")
 
     def follow(self, terminal: int) -> None:
         """Enter in this terminal (a file descriptor) toggles it from now on; when the terminal is gone, it is closed."""

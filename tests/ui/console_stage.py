@@ -34,6 +34,7 @@ class Stage:
         self.quitted = False
         self.interrupted = False
         self.now_s = NOW_S
+        self.talked = False
 
     def clock(self) -> float:
         return self.now_s
@@ -50,6 +51,9 @@ class Stage:
 
     def land(self, colour: str) -> None:
         self.ground.append(("land", colour))
+
+    def talk(self) -> None:
+        self.talked = True
 
     def quit(self) -> None:
         self.quitted = self.ended = True

@@ -177,6 +177,14 @@ async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> Non
         assert Command.DISCONNECT not in stage.commands
 
 
+async def test_m_opens_the_microphone(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        await pilot.press("m")
+    assert stage.talked
+    assert stage.asked == []
+
+
 async def test_a_held_key_asks_once(setting: Setting) -> None:
     stage = Stage(flying_picture(setting))
     async with console(stage).run_test(size=SMALL) as pilot:

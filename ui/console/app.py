@@ -75,6 +75,7 @@ x               disconnect: the drone stays in Hold
 d               look first: show what a request would become, then ask for it or not
 o, l            take off, land (a drone that is not paired)
 v               the other view (where there is room for one only)
+m               open and close a push-to-talk microphone
 + and -         nearer, farther
 t               dark or light
 Ctrl-P          all commands by name
@@ -112,6 +113,7 @@ class Flying(Screen[None]):
         Binding("v", "other_view", "other view", priority=True, show=False),
         Binding("plus,equals_sign", "zoom(0.7)", "nearer", priority=True, show=False),
         Binding("minus", "zoom(1.4)", "farther", priority=True, show=False),
+        Binding("m", "talk", "microphone", priority=True, show=False),
         Binding("t", "theme", "dark or light", priority=True, show=False),
         Binding("question_mark", "help", "help", priority=True, show=False),
         Binding("q,ctrl+q", "leave", "leave", priority=True, show=False),
@@ -311,6 +313,9 @@ class Flying(Screen[None]):
 
     def action_theme(self) -> None:
         self.app.theme = "textual-light" if self.app.current_theme.dark else "textual-dark"
+
+    def action_talk(self) -> None:
+        self._live.talk()
 
     def action_help(self) -> None:
         self.app.push_screen(Help(HELP))
