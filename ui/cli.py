@@ -329,9 +329,10 @@ def _run_console(options: argparse.Namespace) -> int:
 
 
 def _run_serve(options: argparse.Namespace) -> int:
+    from m3r_app.preparation import prepare
     from ui.serve import serve
 
-    _asked(options)  # what is wrong with them is told here, not in the browser
+    prepare(_asked(options))  # what is wrong with them is told here, not in the browser
     return serve(_without(options.words, "--port"), options.port)
 
 

@@ -177,6 +177,29 @@ async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> Non
         assert Command.DISCONNECT not in stage.commands
 
 
+async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setting: Setting) -> None:
+    stage = Stage(flying_picture(setting))
+    async with console(stage).run_test(size=SMALL) as pilot:
+        await pilot.press("x")
+        for _ in range(8):
+            await pilot.press("y", "e")
+            await pilot.pause(0.1)
+        assert stage.asked == []
+        await pilot.pause(READ_S)
+        await pilot.press("y")
+        await pilot.pause()
+        assert stage.commands == [Command.DISCONNECT]
+        stage.picture = flying_picture(setting, paired=False)
+        for _ in range(FLOOD):
+            await pilot.press("left")
+        await pilot.press("q")
+        await pilot.pause()
+        assert not stage.quitted
+        stage.now_s += 1.0
+        await pilot.press("q")
+    assert stage.quitted
+
+
 async def test_m_opens_the_microphone(setting: Setting) -> None:
     stage = Stage(flying_picture(setting))
     async with console(stage).run_test(size=SMALL) as pilot:

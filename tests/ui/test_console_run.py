@@ -238,6 +238,15 @@ def test_the_page_of_somebody_else_reaches_nothing() -> None:
         assert policy.startswith("default-src 'none'")
 
 
+def test_what_is_wrong_is_told_before_it_serves(tmp_path: Path) -> None:
+    words = ["serve", "--scenario", str(tmp_path / "none.toml")]
+    ended = subprocess.run(
+        [sys.executable, "-m", "ui.entry", *words], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
+    assert "none.toml" in ended.stderr
+
+
 def test_a_port_in_use_is_told() -> None:
     with socket.socket() as held:
         held.bind(("127.0.0.1", 0))

@@ -321,6 +321,8 @@ class Flying(Screen[None]):
         self.app.push_screen(Help(HELP))
 
     def action_leave(self) -> None:
+        if not self._believed("leave"):
+            return
         colour = self._colour
         if colour is None:
             self._live.quit()
@@ -435,6 +437,8 @@ class Console(App[None]):
 
     async def on_event(self, event: events.Event) -> None:
         """STOP before whatever has the focus sees the key: a field to type in would keep even a binding from it."""
+        if isinstance(event, events.Key) and event.is_printable and isinstance(self.screen, Question):
+            self.screen.typed(event.time)
         if isinstance(event, events.Key) and event.key in STOP_KEYS:
             self.action_stop()
         else:

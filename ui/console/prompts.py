@@ -43,7 +43,7 @@ class Question(ModalScreen[str | None]):
         self._text = text
         self._choices = choices
         self._refusal = refusal
-        self._since_s = time.monotonic()
+        self._since_s = self._typed_s = time.monotonic()
 
     def compose(self) -> ComposeResult:
         with Vertical(id="question"):
@@ -63,6 +63,15 @@ class Question(ModalScreen[str | None]):
         event.stop()
         name = event.button.id or ""
         self.action_answer("" if name == "no" else self._choices[int(name.removeprefix("yes-"))].answer)
+
+    def typed(self, at_s: float) -> None:
+        """A sign was typed: what follows the one before it too soon is a paste that goes on, and answers nothing.
+
+        at_s: when; a key is told again as it bubbles up.
+        """
+        if 0.0 < at_s - self._typed_s < READ_S:
+            self._since_s = at_s
+        self._typed_s = at_s
 
     def action_yes(self) -> None:
         self.action_answer(self._choices[0].answer)
