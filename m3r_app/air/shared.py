@@ -128,7 +128,7 @@ class SharedAirspace:
             for drone, claimed in self._claims.items():
                 if claimed.refused is None:
                     self._renew(drone, claimed)
-            silent = self._authority_silent(now_s)
+            silent = self._authority_silent(now_s) if self._exchange.link.up else None
             if (silent is None) != self._authority_heard and now_s - self._opened_at_s > AUTHORITY_AGE_S:
                 self._authority_heard = silent is None
                 self._say(silent or f"the airspace authority of {self._credentials.area} is heard again")
@@ -319,6 +319,8 @@ class SharedAirspace:
 
     def _authority_silent(self, now_s: float) -> str | None:
         area = self._credentials.area
+        if not self._exchange.link.up:
+            return f"{self._exchange.link.broker} is not reached"
         if not now_s - self._held_at_s <= AUTHORITY_AGE_S:
             return f"the airspace authority of {area} is not heard: start m3r airspace, or wait for the network"
         if sum(now_s - at_s <= AUTHORITY_AGE_S for at_s in self._epochs.values()) > 1:
