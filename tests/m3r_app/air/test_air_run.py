@@ -70,7 +70,7 @@ def test_two_operators_fly_side_by_side_and_no_drone_has_two(air: Broker, tmp_pa
             refused = m3r(*second)
             assert refused.status == 3
             assert refused.of("pair", status="refused")[0]["reasons"] == ["alice holds it"]
-            bob = m3r(*flight(air, fleet, "bob", "blue", left))
+            bob = m3r(*flight(air, fleet, "bob", "blue", left), "--apply-failsafe")
             assert bob.status == 0 and bob.verdicts() == {"script-1": "approved"}
             separation = [f for f in bob.of("decision")[0]["findings"] if f["constraint"] == "separation"]
             assert separation[0]["text"].startswith("red: ")
