@@ -86,6 +86,8 @@ class Link:
         self._outbox: deque[_Outgoing] = deque()
         self._posted = asyncio.Event()
         self.echoed_at_s = clock()
+        self._proved = False
+        """Whether this connection has worked: then the next one is tried soon again."""
         self._told: str | None = None
 
     @property
@@ -129,6 +131,7 @@ class Link:
     def echoed(self) -> None:
         """A message of our own has come back."""
         self.echoed_at_s = self._clock()
+        self._proved = True
 
     # ------------------------------------------------------------ its life
 
@@ -142,14 +145,14 @@ class Link:
         me = asyncio.current_task()
         # The client may replace our cancellation by an error of its own.
         while me is None or not me.cancelling():
-            began_s = self._clock()
+            self._proved = False
             try:
                 await self._connected_once()
             except AirError as error:
                 self._down(str(error))
             except aiomqtt.MqttError as error:
                 self._down(self._in_words(error))
-            if self._clock() - began_s > 2.0 * BACKOFF_S[1]:
+            if self._proved:
                 wait_s = BACKOFF_S[0]
             await asyncio.sleep(random.uniform(0.5, 1.0) * wait_s)
             wait_s = min(BACKOFF_S[1], 2.0 * wait_s)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.air import ROOT, Broker, broker
-from tests.whole import PLAIN, App, Simulated, m3r, simulated
+from safety.vocabulary import Ned
+from tests.air import ROOT, Broker, app, broker, until
+from tests.whole import HILLSIDE, PLAIN, App, Simulated, m3r, simulated
 
 pytestmark = pytest.mark.xdist_group("air")
 
@@ -136,3 +137,31 @@ def test_bad_options_are_one_sentence(words: list[str], told: str) -> None:
     assert ran.status == 2
     assert told in ran.told and "Traceback" not in ran.told
     assert sum(line.startswith("m3r: ") for line in ran.told.splitlines()) == 1
+
+
+async def test_the_simulated_fleet_tells_of_itself(air: Broker, tmp_path: Path) -> None:
+    words = ["--broker", air.url, "--credentials", str(air.credentials("operator.alice"))]
+    with authority(air, tmp_path), simulated(HILLSIDE, tmp_path, *words):
+        async with app(air, "bob", white=Ned(0.0, 0.0, -10.0)) as bob:
+            await until(lambda: all(bob.sees("white", name) for name in ("red", "green", "blue")))
+            assert bob.neighbours("white").sigmas_m == pytest.approx(0.3, abs=1.0)
+
+
+def test_check_tells_whether_the_air_can_be_shared(air: Broker, tmp_path: Path) -> None:
+    words = ("check", "--broker", air.url, "--credentials")
+    alice = str(air.credentials("operator.alice"))
+    with authority(air, tmp_path):
+        told = said(*words, alice)
+    assert "lets operator.alice in" in told and "the airspace authority of field is heard" in told
+    told = said(*words, alice)
+    assert "is not heard" in told and "start m3r airspace" in told
+    air.stop()
+    assert "nobody answers at" in said(*words, alice)
+    air.start()
+
+
+def said(*words: str) -> str:
+    command = [sys.executable, "-c", "from ui.check_air import air; from ui.check import *; import ui.check as c; "]
+    command[-1] += "c.PARTS = (('broker', air),); import sys; from ui.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return " ".join(done.stdout.split())
