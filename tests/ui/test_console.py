@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from textual.command import CommandPalette
 from textual.widgets import Button, Static
+from textual.widgets._toast import Toast
 
 from m3r_app.modes import State
 from m3r_app.preparation import Setting
@@ -304,6 +305,23 @@ async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting
             toasts = list(app._notifications)
             assert len(toasts) == expected
             assert all(toast.message.startswith("Red: blocked, the wall") for toast in toasts)
+
+
+@pytest.mark.parametrize("size", [SMALL, LARGE])
+async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting, size: tuple[int, int]) -> None:
+    stage = Stage(flying_picture(setting))
+    app = console(stage, [REJECTED] * 6)
+    async with app.run_test(size=size, notifications=True) as pilot:
+        await pilot.pause(0.4)
+        assert app.screen.query(Toast)
+        for number in range(3):  # a toast that covers it takes the click
+            await pilot.click("#stop", offset=(1 + 5 * number, number))
+            await pilot.pause(0.1)
+        stage.now_s += 1.0
+        await pilot.click("#help")
+        await pilot.pause(0.1)
+        assert isinstance(app.screen, Help)
+    assert stage.commands == [Command.STOP] * 3
 
 
 async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -> None:
