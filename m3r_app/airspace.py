@@ -1,60 +1,91 @@
-"""The authority for airspace volumes, in process: what one laptop alone needs. Pure state, the clock is a parameter.
+"""Whom a drone and a piece of air belong to: what the app asks, and the answer in process for one laptop alone.
 
-Grants carry rising fencing numbers and expire by themselves. Source: X10, R5, paper V (air leases), design "reserve".
+`m3r_app.air.shared` asks the same of an authority over a broker. Source: X8, X10, R5, paper III-A, V; design "reserve".
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Literal, Protocol
 
-from safety.vocabulary import ReservedVolume
-from safety.volumes import volumes_meet
+from m3r_app.air import authority
+from m3r_app.air.authority import Authority
+from safety.vocabulary import Geodetic, Neighbours, ReservedVolume
+
+Answered = Callable[[Literal["granted", "denied"], str], None]
+"""Told once: granted, or denied with one sentence."""
 
 
-@dataclass(frozen=True, slots=True)
-class Grant:
-    """A volume that is held, and its fencing number: a later grant has a higher one."""
+class Airspace(Protocol):
+    """An answer may never come; whoever asks has a deadline."""
 
-    lease_id: str
-    volume: ReservedVolume
-    fence: int
+    async def claim(self, drone: str, operator: Geodetic) -> str | None:
+        """Have the drone to oneself until given up or lost; None, or one sentence that says why not."""
+        ...
+
+    def give_up(self, drone: str) -> None:
+        """Let it go, with every volume reserved for it."""
+        ...
+
+    def lost(self, drone: str) -> str | None:
+        """Why a claimed drone is ours no longer; None while it is."""
+        ...
+
+    def reserve(self, drone: str, lease: str, volume: ReservedVolume, answered: Answered) -> None:
+        """Have a volume for a maneuver. volume: session's frame, times of the app's clock."""
+        ...
+
+    def free(self, drone: str, lease: str) -> None:
+        """The maneuver is over."""
+        ...
+
+    def held_by_others(self, drone: str) -> tuple[ReservedVolume, ...]:
+        """The live volumes of all other drones, session's frame."""
+        ...
+
+    def neighbours(self, own: str, linked: Neighbours, now_s: float) -> Neighbours:
+        """The aircraft that we are linked with, and those that others tell of."""
+        ...
+
+    async def news(self) -> None:
+        """Wait until somebody has told something."""
+        ...
 
 
 class LocalAirspace:
-    """Grants a volume unless somebody else holds one that meets it at the same time."""
+    """The authority in this process: nobody else asks it, and a claim needs no renewing."""
 
-    def __init__(self) -> None:
-        self._grants: dict[str, Grant] = {}
-        self._fence = 0
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._authority = Authority()
 
-    def reserve(self, lease_id: str, volume: ReservedVolume, now_s: float) -> Grant | str:
-        """The grant, or one sentence that says who is in the way."""
-        self._expire(now_s)
-        if not _is_whole(volume):
-            return "the volume asked for is incomplete"
-        for held in self._grants.values():
-            if held.volume.holder != volume.holder and volumes_meet(held.volume, volume):
-                return f"{held.volume.holder} holds it for another {held.volume.until_s - now_s:.1f} s"
-        self._fence += 1
-        grant = Grant(lease_id, volume, self._fence)
-        self._grants[lease_id] = grant
-        return grant
+    async def claim(self, drone: str, operator: Geodetic) -> str | None:  # noqa: ARG002  (only one stands here)
+        self._authority, verdict = authority.claim(self._authority, drone, "you", "here", None, self._clock())
+        return None if verdict.granted else verdict.reason
 
-    def release(self, lease_id: str) -> None:
-        """Give a volume back; an unknown one is none of ours any more."""
-        self._grants.pop(lease_id, None)
+    def give_up(self, drone: str) -> None:
+        self._authority, _ = authority.give_up(self._authority, drone, "here", self._clock())
 
-    def held_by_others(self, holder: str, now_s: float) -> tuple[ReservedVolume, ...]:
-        """The live volumes of everybody else."""
-        self._expire(now_s)
-        return tuple(g.volume for g in self._grants.values() if g.volume.holder != holder)
+    def lost(self, drone: str) -> str | None:  # noqa: ARG002
+        return None
 
-    def _expire(self, now_s: float) -> None:
-        self._grants = {k: g for k, g in self._grants.items() if g.volume.until_s > now_s}
+    def reserve(self, drone: str, lease: str, volume: ReservedVolume, answered: Answered) -> None:
+        now_s = self._clock()
+        self._authority, mine = authority.claim(self._authority, drone, "you", "here", None, now_s)
+        self._authority, verdict = authority.reserve(self._authority, drone, "here", mine.fence, lease, volume, now_s)
+        answered("granted" if verdict.granted else "denied", verdict.reason)
 
+    def free(self, drone: str, lease: str) -> None:
+        self._authority, _ = authority.free(self._authority, drone, "here", lease, self._clock())
 
-def _is_whole(volume: ReservedVolume) -> bool:
-    """Whether it says where and when (X6): what is no number could neither be kept clear nor expire."""
-    numbers = (volume.radius_m, volume.from_s, volume.until_s)
-    return volume.start.finite and volume.end.finite and all(map(math.isfinite, numbers))
+    def held_by_others(self, drone: str) -> tuple[ReservedVolume, ...]:
+        self._authority = authority.current(self._authority, self._clock())
+        return tuple(v.volume for v in self._authority.volumes.values() if v.drone != drone)
+
+    def neighbours(self, own: str, linked: Neighbours, now_s: float) -> Neighbours:  # noqa: ARG002
+        return linked
+
+    async def news(self) -> None:
+        await asyncio.Event().wait()  # nobody tells anything

@@ -14,11 +14,12 @@ import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app import failsafe
-from m3r_app.airspace import LocalAirspace
+from m3r_app.airspace import Airspace, LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
 from m3r_app.groundwork import GroundWork
@@ -193,11 +194,12 @@ class Run:
             guard = Guard(self._say_soon)
             guard.start()
             stack.callback(guard.close)
-            shell = self.shell = self._shell(setting, fleet, guard)
+            airspace = await self._airspace(setting, fleet, stack)
+            shell = self.shell = self._shell(setting, fleet, guard, airspace)
             self.ground = GroundWork(shell, lambda text: self.emit("announce", {"text": text}))
             stack.push_async_callback(shell.close)
             stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
-            async with _together(shell.run(), shell.tick(), self._watch_link(shell)) as background:
+            async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
                 playing = asyncio.create_task(self._play(shell, inputs))
                 background.add(playing)
                 done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
@@ -243,7 +245,24 @@ class Run:
         await fleet.ready(setting.settings.pairing.answer_s)
         return fleet
 
-    def _shell(self, setting: Setting, fleet: Fleet, guard: Guard) -> Shell:
+    async def _airspace(self, setting: Setting, fleet: Fleet, stack: AsyncExitStack) -> Airspace:
+        """Alone, or shared over a broker. Raises AirError."""
+        if setting.air is None:
+            return LocalAirspace(self.clock)
+        from m3r_app.air.shared import SharedAirspace  # loads the MQTT client
+
+        broker, credentials = setting.air
+        shared = SharedAirspace(broker, credentials, setting.frame, self._say_soon, self.clock)
+        everybody = {**fleet.vehicles, **fleet.others}
+        shared.watch({name: vehicle.telemetry for name, vehicle in everybody.items()})
+        for name, vehicle in everybody.items():
+            vehicle.on_telemetry(partial(shared.teller.telemetry, name))
+        stack.push_async_callback(shared.close)
+        await shared.open()
+        self.emit("announce", {"text": f"sharing the air of {credentials.area} at {broker} as {credentials.name}"})
+        return shared
+
+    def _shell(self, setting: Setting, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
         settings = setting.settings
         policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace, self.options.dry_run)
 
@@ -255,7 +274,7 @@ class Run:
             ArbiterState(setting.limits, policy),
             fleet,
             setting.frame,
-            LocalAirspace(),
+            airspace,
             guard,
             self.clock,
             self.emit,
@@ -268,10 +287,14 @@ class Run:
 
     async def _pair(self, setting: Setting, shell: Shell, colour: str) -> None:
         """The checks before pairing; the answer goes to the arbiter. Source: X8, design 12."""
+        reasons: tuple[str, ...] = ("pairing was called off",)
         try:
             reasons = await self._objections(setting, shell, colour)
         except VehicleError as error:
             reasons = (str(error),)
+        finally:
+            if reasons:
+                shell.airspace.give_up(colour)
         shell.inbox.put(PairingAnswered(colour, reasons, setting.operator, setting.world))
 
     async def _objections(self, setting: Setting, shell: Shell, colour: str) -> tuple[str, ...]:
@@ -282,6 +305,10 @@ class Run:
             return ("the guard process is not running, so nothing may be flown",)
         if setting.operator is None:
             return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
+        await shell.let_go()
+        held = await shell.airspace.claim(colour, setting.frame.geodetic(setting.operator.position))
+        if held is not None:
+            return (held,)
         await vehicle.wait_ready(setting.settings.pairing.answer_s)
         if self.options.takeoff_m is not None and vehicle.telemetry().in_air is False:
             self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff_m:g} m"})

@@ -14,6 +14,7 @@ from dataclasses import replace
 from m3r_app import deciding, flying, monitoring, requests, sessions
 from m3r_app.events import (
     ArbiterState,
+    ClaimLost,
     Effect,
     Ended,
     Event,
@@ -61,6 +62,13 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             sessions.call_off_pairing(run, event.reason)
         case Stalled():
             flying.drop(run, event.reason)
+        case ClaimLost() if state.authority:
+            run.do(Hold("claim lost"))
+            sessions.leave(
+                run, Cause.AUTHORITY_LOST, "hold", f"{event.reason}, it is told to hold; pair again to go on"
+            )
+        case ClaimLost():
+            sessions.call_off_pairing(run, event.reason)
         case Tick():
             tick(run)
         case Ended() if state.authority:

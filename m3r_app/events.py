@@ -86,6 +86,13 @@ class Stalled:
 
 
 @dataclass(frozen=True, slots=True)
+class ClaimLost:
+    """The drone is claimed for us no longer: somebody else may have it by now. Source: X3."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Time passes, 10 times a second, whether or not anything else happens."""
 
@@ -105,6 +112,7 @@ Event = (
     | NeighboursHeard
     | ReservationAnswered
     | Stalled
+    | ClaimLost
     | Tick
     | Ended
 )

@@ -70,6 +70,10 @@ class RunOptions:
     """Whether short cues are spoken; None: unless `headless` or `plain`."""
     view_port: int | None = None
     """Show the flight in 3D on this TCP port of loopback."""
+    broker: str | None = None
+    """Address of the MQTT broker of a shared airspace; None: alone."""
+    credentials: Path | None = None
+    """Who the operator is there."""
     record: Path | None = None
     """Flight record to write."""
     timeout_s: float | None = None

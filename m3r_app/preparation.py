@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from config.settings import Settings, load_settings
+from m3r_app.air.credentials import AirError, Broker, Credentials, load_credentials, parse_broker
 from m3r_app.options import OptionError, RunOptions
 from m3r_app.ports import check_link
 from m3r_app.scenario import SHIPPED, Scenario, load_scenario
@@ -33,10 +34,15 @@ class Setting:
     world: World
     colours: tuple[str, ...]
     """The drones that can be paired with."""
+    air: tuple[Broker, Credentials] | None = None
+    """The shared airspace; None: alone."""
 
 
 def prepare(options: RunOptions) -> Setting:
-    """Load and check everything. Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError) or LinkError: one sentence."""
+    """Load and check everything.
+
+    Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError), LinkError or AirError: one sentence.
+    """
     settings = load_settings(options.config, options.overrides)
     for url in options.vehicles.values():
         check_link(url)
@@ -51,7 +57,18 @@ def prepare(options: RunOptions) -> Setting:
     frame = LocalFrame(place or Geodetic(0.0, 0.0, 0.0))
     operator = Operator(frame.ned(place), sigma_m) if place is not None else None
     world = _world(settings, scenario, frame)
-    return Setting(settings, settings.limits(), scenario, operator, frame, world, colours)
+    return Setting(settings, settings.limits(), scenario, operator, frame, world, colours, _air(options))
+
+
+def _air(options: RunOptions) -> tuple[Broker, Credentials] | None:
+    if options.broker is None and options.credentials is None:
+        return None
+    if options.broker is None:
+        raise AirError("--credentials is given without --broker: give the broker's address too")
+    broker = parse_broker(options.broker)
+    if options.credentials is None:
+        raise AirError("--broker is given without --credentials FILE: make them with scripts/make_airspace.py")
+    return broker, load_credentials(options.credentials, "operator")
 
 
 def _world(settings: Settings, scenario: Scenario | None, frame: LocalFrame) -> World:

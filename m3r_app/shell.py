@@ -7,13 +7,14 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Coroutine
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-from m3r_app.airspace import Grant, LocalAirspace
+from m3r_app.airspace import Airspace
 from m3r_app.arbiter import step
 from m3r_app.events import (
     Announce,
     ArbiterState,
+    ClaimLost,
     Effect,
     Ended,
     Event,
@@ -45,6 +46,8 @@ from safety.vocabulary import Anchor, Command, ManeuverRequest, Ned, Neighbours,
 INBOX = 512
 TICK_S = 0.1
 MARGINS_S = 0.5
+NEWS_S = 0.02
+"""News of neighbours are not looked at more often than this."""
 MODE_LAG_S = 0.2
 """A flight mode that was reported earlier than this after we changed it may be the old one."""
 JUMP_M = 0.5
@@ -105,7 +108,7 @@ class Shell:
         state: ArbiterState,
         fleet: Fleet,
         frame: LocalFrame,
-        airspace: LocalAirspace,
+        airspace: Airspace,
         guard: Guard,
         clock: Callable[[], float],
         emit: Callable[[str, dict[str, object]], None],
@@ -124,7 +127,7 @@ class Shell:
         self.vehicle: Vehicle | None = None
         self.changed = asyncio.Event()
         """Set after every step."""
-        self._airspace = airspace
+        self.airspace = airspace
         self._emit = emit
         self._recording = recording
         self._pair = pair
@@ -136,6 +139,7 @@ class Shell:
         self._tasks: set[asyncio.Task[None]] = set()
         self._streaming: asyncio.Task[None] | None = None
         self._pairing: asyncio.Task[None] | None = None
+        self._letting_go: asyncio.Task[None] | None = None
 
     # ------------------------------------------------------------ running
 
@@ -171,9 +175,20 @@ class Shell:
             await asyncio.sleep(TICK_S)
             now_s = self.clock()
             if self.vehicle is not None:
+                lost = self.airspace.lost(self.vehicle.colour)
+                if lost is not None:
+                    self.inbox.put(ClaimLost(lost))
                 self.inbox.put(self.surroundings(now_s))
                 self._record_margins(self.vehicle, now_s)
             self.inbox.put(Tick())
+
+    async def listen(self) -> None:
+        """Judge what others tell as soon as they tell it, until cancelled."""
+        while True:
+            await self.airspace.news()
+            if self.vehicle is not None:
+                self.inbox.put(self.surroundings(self.clock()))
+            await asyncio.sleep(NEWS_S)
 
     def _record_margins(self, vehicle: Vehicle, now_s: float) -> None:
         """How far every limit is, twice a second, for who reads the record."""
@@ -188,11 +203,10 @@ class Shell:
         """The latest of everybody else."""
         assert self.vehicle is not None
         own = self.vehicle.colour
-        neighbours = (
-            Neighbours.none(math.inf) if self._declared_empty else self.fleet.neighbours(own, self.frame, now_s)
-        )
+        linked = Neighbours.none(math.inf) if self._declared_empty else self.fleet.neighbours(own, self.frame, now_s)
+        neighbours = self.airspace.neighbours(own, linked, now_s)
         self._recording.record("neighbours", now_s, {"neighbours": neighbours})
-        return NeighboursHeard(neighbours, self._airspace.held_by_others(own, now_s))
+        return NeighboursHeard(neighbours, self.airspace.held_by_others(own))
 
     async def close(self) -> None:
         """End what runs in the background."""
@@ -213,6 +227,11 @@ class Shell:
             if ours and vehicle is not None and vehicle.telemetry().flight_mode == "OFFBOARD" and self.controller:
                 with contextlib.suppress(TimeoutError):  # only where the step above broke
                     await asyncio.wait_for(vehicle.hold(), within_s)
+
+    async def let_go(self) -> None:
+        """Wait until a drone that was let go is really free."""
+        if self._letting_go is not None:
+            await asyncio.wait({self._letting_go})
 
     async def settled(self, within_s: float) -> None:
         """Wait until the orders given so far have been carried out, at most within_s."""
@@ -242,17 +261,20 @@ class Shell:
                 if self.controller is not None:
                     self.controller.hold()
             case Reserve():
-                answer = self._airspace.reserve(effect.request_id, effect.volume, now_s)
-                granted = isinstance(answer, Grant)
-                self.inbox.put(
-                    ReservationAnswered(
-                        effect.request_id, "granted" if granted else "denied", "" if granted else str(answer)
-                    )
-                )
+                self._reserve(effect)
             case Release():
-                self._airspace.release(effect.request_id)
+                if self.vehicle is not None:
+                    self.airspace.free(self.vehicle.colour, effect.request_id)
             case LetGo():
                 self._let_go(effect.command)
+
+    def _reserve(self, effect: Reserve) -> None:
+        """The answer is an event, whoever gives it and however late. Source: X10."""
+
+        def answered(answer: Literal["granted", "denied"], reason: str) -> None:
+            self.inbox.put(ReservationAnswered(effect.request_id, answer, reason))
+
+        self.airspace.reserve(effect.volume.holder, effect.request_id, effect.volume, answered)
 
     def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.create_task(work)
@@ -342,18 +364,21 @@ class Shell:
         self.controller = self._streaming = None
         if self.vehicle is not None:
             self.vehicle.off_telemetry(self._telemetry)
-        self.vehicle = None
+        let_go, self.vehicle = self.vehicle, None
 
         async def carry_out() -> None:
-            if streaming is not None:
-                streaming.cancel()
-            if controller is not None:
-                try:
+            try:
+                if streaming is not None:
+                    streaming.cancel()
+                if controller is not None:
                     await controller.let_go(command)
-                except VehicleError as error:
-                    self._emit("announce", {"text": str(error)})
+            except VehicleError as error:
+                self._emit("announce", {"text": str(error)})
+            finally:
+                if let_go is not None:
+                    self.airspace.give_up(let_go.colour)  # not before we have stopped flying it
 
-        self._start(carry_out())
+        self._letting_go = self._start(carry_out())
 
     def _beat(self) -> None:
         if self.guard.beat() or self.controller is None or self.vehicle is None:

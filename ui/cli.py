@@ -161,6 +161,8 @@ def _parser() -> _Parser:
     _add_serve(commands)
     _add_run(commands)
     _add_sim(commands)
+    _add_airspace(commands)
+    _add_beacon(commands)
     _add_check(commands)
     _add_models(commands)
     _add_evaluate(commands)
@@ -263,8 +265,39 @@ def _add_flight(run: _Parser) -> None:
         metavar="PORT",
         help="show the flight live in 3D to Foxglove on this computer (8765)",
     )
+    _add_air(run)
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
+
+
+def _add_air(command: _Parser, *, required: bool = False) -> None:
+    command.add_argument(
+        "--broker", required=required, metavar="URL", help="share the air over this MQTT broker: mqtts://HOST:8883"
+    )
+    command.add_argument(
+        "--credentials", type=_typed(parse_file), required=required, metavar="FILE", help="who you are there"
+    )
+
+
+def _add_airspace(commands: Any) -> None:
+    airspace = _add(commands, "airspace", "be the one authority for claims and volumes of an area", _run_airspace)
+    _add_air(airspace, required=True)
+    airspace.add_argument(
+        "--memory", type=_typed(parse_file), metavar="FILE", help="what it must not forget (in the user's state folder)"
+    )
+
+
+def _add_beacon(commands: Any) -> None:
+    beacon = _add(commands, "beacon", "tell others where drones are that nobody is paired with", _run_beacon)
+    beacon.add_argument(
+        "--vehicle",
+        nargs="+",
+        action="extend",
+        required=True,
+        metavar="COLOUR=MAVLINK-URL",
+        help="the drones, such as red=udpin://0.0.0.0:14540",
+    )
+    _add_air(beacon, required=True)
 
 
 def _add_settings(command: _Parser) -> None:
@@ -378,6 +411,8 @@ def _asked(options: argparse.Namespace) -> RunOptions:
         dry_run=options.dry_run,
         spoken=options.spoken,
         view_port=options.view,
+        broker=options.broker,
+        credentials=options.credentials,
         record=options.record,
         timeout_s=options.timeout,
     )
@@ -388,6 +423,18 @@ def _run_sim(options: argparse.Namespace) -> int:
 
     given = {"--scenario": options.scenario, "--port-base": options.port_base, "--truth": options.truth}
     return simulate([word for name, value in given.items() if value is not None for word in (name, str(value))])
+
+
+def _run_airspace(options: argparse.Namespace) -> int:
+    from ui.air import be_authority
+
+    return be_authority(options.broker, options.credentials, options.memory, _say)
+
+
+def _run_beacon(options: argparse.Namespace) -> int:
+    from ui.air import be_beacon
+
+    return be_beacon(parse_vehicles(options.vehicle), options.broker, options.credentials, _say)
 
 
 def _run_check(options: argparse.Namespace) -> int:

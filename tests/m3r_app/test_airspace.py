@@ -1,4 +1,4 @@
-"""The authority for volumes, in process. X10, R5."""
+"""The authority in process: what one laptop alone needs. X10, R5."""
 
 from __future__ import annotations
 
@@ -7,40 +7,54 @@ from dataclasses import replace
 
 import pytest
 
-from m3r_app.airspace import Grant, LocalAirspace
-from safety.vocabulary import Ned, ReservedVolume
+from m3r_app.airspace import LocalAirspace
+from safety.vocabulary import Geodetic, Ned, ReservedVolume
 
 RED = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 100.0, 110.0)
 NEAR = replace(RED, holder="blue", start=Ned(3, 0, -10), end=Ned(4, 0, -10))
 FAR = replace(NEAR, start=Ned(30, 0, -10), end=Ned(31, 0, -10))
 
 
+class Here:
+    """A local airspace at a time that the test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.airspace = LocalAirspace(lambda: self.now_s)
+
+    def reserve(self, lease: str, volume: ReservedVolume) -> tuple[str, str]:
+        answers: list[tuple[str, str]] = []
+        self.airspace.reserve(volume.holder, lease, volume, lambda *answer: answers.append(answer))
+        (only,) = answers
+        return only
+
+
 def test_who_comes_second_is_told_who_is_in_the_way() -> None:
-    airspace = LocalAirspace()
-    assert isinstance(airspace.reserve("a", RED, 100.0), Grant)
-    assert airspace.reserve("b", NEAR, 101.0) == "red holds it for another 9.0 s"
-    assert isinstance(airspace.reserve("c", FAR, 101.0), Grant)
-    assert airspace.held_by_others("blue", 101.0) == (RED,)
-    assert airspace.held_by_others("red", 101.0) == (FAR,)
+    here = Here()
+    assert here.reserve("a", RED) == ("granted", "")
+    here.now_s = 101.0
+    assert here.reserve("b", NEAR) == ("denied", "red holds it for another 9.0 s")
+    assert here.reserve("c", FAR)[0] == "granted"
+    assert here.airspace.held_by_others("blue") == (RED,)
+    assert here.airspace.held_by_others("red") == (FAR,)
 
 
-def test_released_or_run_out_it_is_free() -> None:
-    airspace = LocalAirspace()
-    first = airspace.reserve("a", RED, 100.0)
-    airspace.release("a")
-    airspace.release("a")
-    second = airspace.reserve("b", NEAR, 101.0)
-    assert isinstance(first, Grant)
-    assert isinstance(second, Grant)
-    assert second.fence > first.fence
-    assert isinstance(airspace.reserve("c", replace(RED, from_s=110.0, until_s=120.0), 110.0), Grant)
-    assert airspace.held_by_others("red", 110.0) == ()
+def test_freed_or_run_out_it_is_free() -> None:
+    here = Here()
+    assert here.reserve("a", RED)[0] == "granted"
+    here.airspace.free("red", "a")
+    here.airspace.free("red", "a")
+    here.now_s = 101.0
+    assert here.reserve("b", NEAR)[0] == "granted"
+    here.now_s = 110.0
+    assert here.reserve("c", replace(RED, from_s=110.0, until_s=120.0))[0] == "granted"
+    assert here.airspace.held_by_others("red") == ()
 
 
 def test_ones_own_volumes_do_not_meet() -> None:
-    airspace = LocalAirspace()
-    airspace.reserve("a", RED, 100.0)
-    assert isinstance(airspace.reserve("b", RED, 100.0), Grant)
+    here = Here()
+    assert here.reserve("a", RED)[0] == "granted"
+    assert here.reserve("b", RED)[0] == "granted"
 
 
 @pytest.mark.parametrize("bad", [
@@ -48,6 +62,22 @@ def test_ones_own_volumes_do_not_meet() -> None:
 ])  # fmt: skip
 def test_what_is_incomplete_is_not_granted(bad: dict[str, object]) -> None:
     """X6: it could neither be kept clear nor run out."""
-    airspace = LocalAirspace()
-    assert isinstance(airspace.reserve("a", replace(RED, **bad), 100.0), str)  # type: ignore[arg-type]
-    assert airspace.held_by_others("blue", 100.0) == ()
+    here = Here()
+    assert here.reserve("a", replace(RED, **bad))[0] == "denied"  # type: ignore[arg-type]
+    assert here.airspace.held_by_others("blue") == ()
+
+
+async def test_alone_a_drone_is_always_ours() -> None:
+    here = Here()
+    assert await here.airspace.claim("red", Geodetic(47.0, 8.0, 500.0)) is None
+    here.now_s = 1000.0
+    assert here.airspace.lost("red") is None
+    here.airspace.give_up("red")
+    assert await here.airspace.claim("red", Geodetic(47.0, 8.0, 500.0)) is None
+
+
+def test_letting_a_drone_go_frees_its_volumes() -> None:
+    here = Here()
+    assert here.reserve("a", RED)[0] == "granted"
+    here.airspace.give_up("red")
+    assert here.airspace.held_by_others("blue") == ()

@@ -1,0 +1,181 @@
+"""The authority for claims and volumes of one area: pure, the clock a parameter, the same in process and over a broker.
+
+A grant carries a rising fencing number and expires by itself; what is not surely free is refused. One drone has one operator,
+and one app of that operator. Source: P1, X8, X10, R5; paper III-A, V; design "reserve".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from safety.vocabulary import ReservedVolume
+from safety.volumes import volumes_meet
+
+CLAIM_S = 5.0
+"""A claim that is not renewed for this long is over."""
+WANTED_S = 30.0
+"""Somebody who was refused is the next one for so long after asking."""
+LEASES_MAX = 256
+CLAIMS_MAX = 256
+
+
+@dataclass(frozen=True, slots=True)
+class HeldBy:
+    """A claim: operator and app (inbox) that hold a drone."""
+
+    operator: str
+    inbox: str
+    fence: int
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """Who was refused a drone last, and comes first when it gets free."""
+
+    operator: str
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Volume:
+    """A lease. fence: of this grant."""
+
+    drone: str
+    inbox: str
+    volume: ReservedVolume
+    fence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """fence and lasts_s: of the grant. reason: one sentence, if not granted."""
+
+    granted: bool
+    fence: int = 0
+    lasts_s: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Authority:
+    """Everything it knows. fence: the highest number given out."""
+
+    fence: int = 0
+    claims: Mapping[str, HeldBy] = field(default_factory=dict)
+    waiting: Mapping[str, Waiting] = field(default_factory=dict)
+    volumes: Mapping[str, Volume] = field(default_factory=dict)
+
+
+def no(reason: str) -> Verdict:
+    return Verdict(granted=False, reason=reason)
+
+
+def claim(
+    a: Authority, drone: str, operator: str, inbox: str, fence: int | None, now_s: float
+) -> tuple[Authority, Verdict]:
+    """A drone for an operator's app: new, or renewed. fence: of the claim that the app believes to hold."""
+    a = _expired(a, now_s)
+    held, waits = a.claims.get(drone), a.waiting.get(drone)
+    if held is not None and (held.operator, held.inbox) != (operator, inbox):
+        waiting = waits or Waiting(operator, now_s + WANTED_S)
+        if waiting.operator == operator:
+            waiting = Waiting(operator, now_s + WANTED_S)
+        a = replace(a, waiting={**a.waiting, drone: waiting})
+        whose = f"another app of {operator}" if held.operator == operator else held.operator
+        return a, no(f"{whose} holds it")
+    if held is not None:
+        held = replace(held, until_s=now_s + CLAIM_S)
+        return replace(a, claims={**a.claims, drone: held}), Verdict(True, held.fence, CLAIM_S)
+    if fence is not None:
+        return a, no("the claim was not renewed in time and has run out")
+    if waits is not None and waits.operator != operator:
+        return a, no(f"{waits.operator} has asked for it before and comes first")
+    if len(a.claims) >= CLAIMS_MAX:
+        return a, no(f"this area has {CLAIMS_MAX} drones claimed and takes no more")
+    number = a.fence + 1
+    new = HeldBy(operator, inbox, number, now_s + CLAIM_S)
+    waiting_now = {d: w for d, w in a.waiting.items() if d != drone}
+    return replace(a, fence=number, claims={**a.claims, drone: new}, waiting=waiting_now), Verdict(
+        True, number, CLAIM_S
+    )
+
+
+def give_up(a: Authority, drone: str, inbox: str, now_s: float) -> tuple[Authority, Verdict]:
+    """The holder lets it go, with every volume held for it. Whoever waits comes first from now on."""
+    a = _expired(a, now_s)
+    held = a.claims.get(drone)
+    if held is None or held.inbox != inbox:
+        return a, no("it is not held by this app")
+    claims = {d: c for d, c in a.claims.items() if d != drone}
+    volumes = {k: v for k, v in a.volumes.items() if v.drone != drone}
+    return replace(a, claims=claims, volumes=volumes), Verdict(True, held.fence)
+
+
+def reserve(
+    a: Authority, drone: str, inbox: str, fence: int, lease: str, volume: ReservedVolume, now_s: float
+) -> tuple[Authority, Verdict]:
+    """The volume for a maneuver of a claimed drone, unless another drone holds one that meets it."""
+    a = _expired(a, now_s)
+    held = a.claims.get(drone)
+    if held is None or held.inbox != inbox or held.fence != fence:
+        return a, no(f"{drone} is not claimed by this app" if held is None else f"{held.operator} holds {drone}")
+    if not _is_whole(volume):
+        return a, no("the volume asked for is incomplete")
+    known = a.volumes.get(lease)
+    if known is not None and known.drone != drone:
+        return a, no("a lease of that name is another drone's")
+    for other in a.volumes.values():
+        if other.drone != drone and volumes_meet(other.volume, volume):
+            return a, no(f"{other.drone} holds it for another {other.volume.until_s - now_s:.1f} s")
+    if len(a.volumes) >= LEASES_MAX:
+        return a, no(f"this area has {LEASES_MAX} volumes reserved and takes no more")
+    number = a.fence + 1
+    new = Volume(drone, inbox, replace(volume, holder=drone), number)
+    return replace(a, fence=number, volumes={**a.volumes, lease: new}), Verdict(True, number, volume.until_s - now_s)
+
+
+def free(a: Authority, drone: str, inbox: str, lease: str, now_s: float) -> tuple[Authority, Verdict]:
+    """Give a volume back; an unknown one is given back already."""
+    a = _expired(a, now_s)
+    known = a.volumes.get(lease)
+    if known is not None and (known.drone, known.inbox) != (drone, inbox):
+        return a, no("it is held by another app")
+    return replace(a, volumes={k: v for k, v in a.volumes.items() if k != lease}), Verdict(True)
+
+
+def resumed(a: Authority, away_s: float) -> Authority:
+    """After the authority could not be reached for away_s: nothing ran out meanwhile, since nobody could renew it.
+
+    So whoever held a drone before may have it again before anybody else can.
+    """
+    return replace(
+        a,
+        claims={d: replace(c, until_s=c.until_s + away_s) for d, c in a.claims.items()},
+        volumes={
+            k: replace(v, volume=replace(v.volume, until_s=v.volume.until_s + away_s)) for k, v in a.volumes.items()
+        },
+    )
+
+
+def current(a: Authority, now_s: float) -> Authority:
+    """Without what has run out."""
+    return _expired(a, now_s)
+
+
+def _expired(a: Authority, now_s: float) -> Authority:
+    claims = {d: c for d, c in a.claims.items() if c.until_s > now_s}
+    waiting = {d: w for d, w in a.waiting.items() if w.until_s > now_s}
+    # A volume outlives its claim: the drone may still be in it.
+    volumes = {k: v for k, v in a.volumes.items() if v.volume.until_s > now_s}
+    if len(claims) == len(a.claims) and len(waiting) == len(a.waiting) and len(volumes) == len(a.volumes):
+        return a
+    return replace(a, claims=claims, waiting=waiting, volumes=volumes)
+
+
+def _is_whole(volume: ReservedVolume) -> bool:
+    """Whether it says where and when (X6): what is no number could neither be kept clear nor expire."""
+    numbers = (volume.radius_m, volume.from_s, volume.until_s)
+    return volume.start.finite and volume.end.finite and all(map(math.isfinite, numbers))
