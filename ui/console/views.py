@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from textual_hires_canvas import Canvas, HiResMode
 from textual_plot import PlotWidget
 
+from ui.console.drawing import nice_step
 from ui.console.panels import ink
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ class View(PlotWidget, can_focus=False):
         window = drawing.window
         self.set_xlimits(window.x_min, window.x_max)
         self.set_ylimits(window.y_min, window.y_max)
+        self.set_yticks(heights(window.y_min, window.y_max, self.size.height - 3))
         mode = None if plain else HiResMode.BRAILLE
         for stroke in drawing.strokes:
             style = INKS.get(stroke.kind) or ink(stroke.name)
@@ -72,6 +75,12 @@ class View(PlotWidget, can_focus=False):
         for mark in drawing.marks:
             style = INKS.get(mark.kind) or f"bold {ink(mark.name)}"
             self.scatter([mark.x], [mark.y], marker=mark.sign, marker_style=style)
+
+
+def heights(low_m: float, high_m: float, rows: int) -> list[float]:
+    """Round numbers for the upright axis, more than a row apart: nearer, one would be written over another."""
+    step_m = nice_step(1.25 * (high_m - low_m) / max(1, rows))
+    return [n * step_m for n in range(math.ceil(low_m / step_m), math.floor(high_m / step_m) + 1)]
 
 
 class Skeleton(Canvas):
