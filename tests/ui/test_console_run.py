@@ -258,6 +258,9 @@ def test_the_page_of_somebody_else_reaches_nothing() -> None:
             policy = page.headers["Content-Security-Policy"]
         assert "https://" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
         assert policy.startswith("default-src 'none'")
+        (style,) = re.findall(r'<link[^>]*href="([^"]*)"', text)  # without it a field to type in lies over the console
+        with urllib.request.urlopen(style, timeout=10) as sheet:
+            assert b"xterm-helper-textarea" in sheet.read()
 
 
 def test_what_is_wrong_is_told_before_it_serves(tmp_path: Path) -> None:
@@ -283,4 +286,5 @@ def test_a_port_in_use_is_told() -> None:
         )
     assert ended.returncode == 2
     assert f"port {port} is held by another program" in ended.stderr
+    assert "--port" in ended.stderr
     assert ended.stderr.count("\n") == 1
