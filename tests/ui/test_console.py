@@ -321,7 +321,10 @@ async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting,
         assert app.screen.query(Toast)
         for number in range(3):  # a toast that covers it takes the click
             await pilot.click("#stop", offset=(1 + 5 * number, number))
-            await pilot.pause(0.1)
+            for _ in range(100):
+                if len(stage.commands) > number:
+                    break
+                await pilot.pause(0.05)
         stage.now_s += 1.0
         await pilot.click("#help")
         await pilot.pause(0.1)
@@ -491,6 +494,10 @@ async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch
             for strip in app.screen._compositor.render_strips()
         ]
         assert all(segment.text.isascii() for line in lines for segment in line)
+        shown = ["".join(segment.text for segment in line) for line in lines]
+        assert not any("####" in line[:75] for line in shown[:30]), "lines of all kinds as one block"
+        assert any("xxxx" in line for line in shown)  # the fence
+        assert any("....." in line[:75] for line in shown)  # contours
         assert any(isinstance(one, PlainSigns) for one in app.get_line_filters())
 
 
@@ -502,6 +509,14 @@ async def test_without_colour_the_signs_tell(setting: Setting, monkeypatch: pyte
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause(0.4)
         shown = text_of(drawn(app))
+        lines = [list(strip) for strip in app.screen._compositor.render_strips()]
+        for one in app.get_line_filters():
+            lines = [one.apply(line, app.screen.background_colors[1]) for line in lines]
+        for text in (" Red ", "↓", "B"):  # whose name it is may not sink into what is behind it
+            style = next(s.style for line in lines for s in line if s.text == text)
+            assert style is not None and style.color is not None and style.bgcolor is not None
+            ink, paper = (sum(c.get_truecolor()) / 3.0 for c in (style.color, style.bgcolor))
+            assert abs(ink - paper) > 100.0, text
     assert "!battery" in shown
     assert "!link age" in shown
     assert "[Armed]" in shown

@@ -437,7 +437,8 @@ class Console(App[None]):
         super().__init__()
         self.live = live
         self._seat = seat
-        self._filters.insert(0, Styled())
+        if self.no_color:
+            self._filters.insert(0, Styled())
         self.plain = is_plain(os.environ)
         if self.plain:
             self._filters.append(PlainSigns())
