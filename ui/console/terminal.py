@@ -69,7 +69,7 @@ class Styled(LineFilter):
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
         clear = Style(color=background.get_contrast_text(1.0).rich_color)
         return [
-            Segment(s.text, s.style + clear if _is_named(s.style) else s.style or Style.null(), s.control)
+            Segment(s.text, (s.style or Style.null()) + (clear if _is_named(s.style) else Style.null()), s.control)
             for s in segments
         ]
 
