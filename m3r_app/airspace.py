@@ -53,6 +53,11 @@ class Airspace(Protocol):
         """Wait until somebody has told something."""
         ...
 
+    @property
+    def trouble(self) -> str | None:
+        """What is missing of the shared air, in two words; None: nothing."""
+        ...
+
 
 class LocalAirspace:
     """The authority in this process: nobody else asks it, and a claim needs no renewing."""
@@ -89,3 +94,7 @@ class LocalAirspace:
 
     async def news(self) -> None:
         await asyncio.Event().wait()  # nobody tells anything
+
+    @property
+    def trouble(self) -> str | None:
+        return None

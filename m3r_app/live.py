@@ -17,7 +17,7 @@ from dataclasses import replace
 
 from m3r_app.app import Emit, Run
 from m3r_app.options import RunOptions
-from m3r_app.picture import Picture, craft
+from m3r_app.picture import Picture, craft, heard_of
 from modalities.own_voice import OwnVoice
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
@@ -150,4 +150,6 @@ class Live:
                 *(craft(name, v.telemetry(), frame, now_s, ours=True) for name, v in fleet.vehicles.items()),
                 *(craft(name, v.telemetry(), frame, now_s, ours=False) for name, v in fleet.others.items()),
             )
-            self.picture = Picture(now_s, run.shell.state, run.setting, told, run.senses)
+            shell = run.shell
+            told += heard_of(shell.state, frozenset(c.name for c in told), now_s)
+            self.picture = Picture(now_s, shell.state, run.setting, told, run.senses, shell.airspace.trouble)

@@ -39,7 +39,7 @@ HOVER_RULES: tuple[Rule, ...] = tuple(r for r in RULES if r.subject is Subject.P
 
 @dataclass(frozen=True, slots=True)
 class Craft:
-    """One vehicle with a link, as it last told. Unknown is None or NaN."""
+    """One vehicle, as it or somebody else last told. Unknown is None or NaN."""
 
     name: str
     position: Ned | None
@@ -82,6 +82,8 @@ class Picture:
     setting: Setting
     craft: tuple[Craft, ...]
     taken: Taken = field(default_factory=Taken)
+    air_trouble: str | None = None
+    """What is missing of the shared air, in two words."""
 
     @property
     def paired(self) -> Craft | None:
@@ -121,6 +123,33 @@ def craft(name: str, telemetry: Telemetry, frame: LocalFrame, now_s: float, *, o
         telemetry.in_air,
         ours,
     )
+
+
+def heard_of(state: ArbiterState, known: frozenset[str], now_s: float) -> tuple[Craft, ...]:
+    """The neighbours that only others tell of, not being among those known."""
+    n = state.neighbours
+    found = []
+    for i, name in enumerate(n.names):
+        if name in known:
+            continue
+        place, velocity = Ned(*map(float, n.positions_ned_m[i])), Ned(*map(float, n.velocities_ned_m_s[i]))
+        age_s = now_s - float(n.at_s[i])
+        found.append(
+            Craft(
+                name,
+                place if place.finite and max(map(abs, place)) < NOWHERE_M else None,
+                velocity if velocity.finite else None,
+                math.nan,
+                float(n.sigmas_m[i]),
+                age_s,
+                age_s,
+                None,
+                "",
+                None,
+                ours=False,
+            )
+        )
+    return tuple(found)
 
 
 def margins(state: ArbiterState, drone: Craft | None, now_s: float) -> tuple[Margin, ...]:

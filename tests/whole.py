@@ -128,11 +128,11 @@ class Simulated:
 
 
 @contextmanager
-def simulated(scenario: Path, tmp_path: Path) -> Iterator[Simulated]:
+def simulated(scenario: Path, tmp_path: Path, *words: str) -> Iterator[Simulated]:
     """The simulated fleet as a process of its own, its truth written down."""
     truth = tmp_path / "truth.jsonl"
     command = [sys.executable, "-m", "m3r_app.sim", "--scenario", str(scenario), "--truth", str(truth)]
-    command += ["--port-base", str(free_udp_block(6))]
+    command += ["--port-base", str(free_udp_block(6)), *words]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modalities.models import ModelError, find_model
+from ui.check_air import air
 from ui.check_devices import cameras, microphones
 from ui.check_mirror import mirror
 from ui.findings import Finding, State, Wanted, module, parts_of, shown, silence
@@ -195,4 +196,5 @@ PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("mirror test", mirror),
     ("UDP ports", _ports),
     ("vehicle", _vehicles),
+    ("broker", air),
 )

@@ -312,6 +312,7 @@ def _add_sim(commands: Any) -> None:
     sim = _add(commands, "sim", "fly only the simulated fleet, for other tools", _run_sim)
     sim.add_argument("--scenario", type=_typed(parse_file), metavar="FILE", help="scenario file (TOML)")
     sim.add_argument("--port-base", metavar="PORT", help="UDP port of the first drone's ground station (14540)")
+    _add_air(sim)
     sim.add_argument("--truth", type=_typed(parse_file), metavar="FILE", help="write the true states there, JSON lines")
 
 
@@ -327,6 +328,7 @@ def _add_check(commands: Any) -> None:
     )
     check.add_argument("--audio", type=_typed(parse_audio), metavar="mic:NAME", help="listen to this microphone")
     check.add_argument("--video", type=_typed(parse_video), metavar="camera:N|URL", help="watch this camera")
+    _add_air(check)
     check.add_argument("--mirror", action="store_true", help="do the mirror test, although this is no terminal")
 
 
@@ -421,7 +423,13 @@ def _asked(options: argparse.Namespace) -> RunOptions:
 def _run_sim(options: argparse.Namespace) -> int:
     from m3r_app.sim.__main__ import main as simulate
 
-    given = {"--scenario": options.scenario, "--port-base": options.port_base, "--truth": options.truth}
+    given = {
+        "--scenario": options.scenario,
+        "--port-base": options.port_base,
+        "--truth": options.truth,
+        "--broker": options.broker,
+        "--credentials": options.credentials,
+    }
     return simulate([word for name, value in given.items() if value is not None for word in (name, str(value))])
 
 
@@ -446,7 +454,10 @@ def _run_check(options: argparse.Namespace) -> int:
     if isinstance(options.video, Path):
         raise OptionError(f"--video {options.video}: check watches a camera, give camera:N or its address")
     name = options.audio.name if options.audio is not None else None
-    return show(Wanted(parse_vehicles(options.vehicle), name, options.video, options.mirror))
+    wanted = Wanted(
+        parse_vehicles(options.vehicle), name, options.video, options.mirror, options.broker, options.credentials
+    )
+    return show(wanted)
 
 
 def _run_models(options: argparse.Namespace) -> int:

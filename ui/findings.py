@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
     from types import ModuleType
 
     from modalities.camera import CameraAddress
@@ -43,13 +44,16 @@ class Finding:
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """What to look at beyond what every machine has. vehicles: MAVLink address by colour; microphone: as --audio mic:NAME;
-    camera: None for those of this machine; mirror: ask the person before the camera to point, although no terminal is here.
+    camera: None for those of this machine; mirror: ask the person before the camera to point, although no terminal is here;
+    broker, credentials: of the shared air.
     """
 
     vehicles: Mapping[str, str] = field(default_factory=dict)
     microphone: str | None = None
     camera: CameraAddress | None = None
     mirror: bool = False
+    broker: str | None = None
+    credentials: Path | None = None
 
 
 def shown(finding: Finding, width: int = 100) -> str:

@@ -7,7 +7,6 @@ connection. Connected is only who also reads their own messages back: a denied p
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import random
 import secrets
@@ -71,7 +70,7 @@ class Link:
         self.broker = broker
         self.up_since_s: float | None = None
         """None: not connected."""
-        self.lost_at_s = clock()
+        self.client_id = ""
         self.dropped = 0
         """Messages that could not be sent in time."""
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -87,6 +86,8 @@ class Link:
         self._outbox: deque[_Outgoing] = deque()
         self._posted = asyncio.Event()
         self.echoed_at_s = clock()
+        self._proved = False
+        """Whether this connection has worked: then the next one is tried soon again."""
         self._told: str | None = None
 
     @property
@@ -130,6 +131,7 @@ class Link:
     def echoed(self) -> None:
         """A message of our own has come back."""
         self.echoed_at_s = self._clock()
+        self._proved = True
 
     # ------------------------------------------------------------ its life
 
@@ -140,27 +142,30 @@ class Link:
     async def run(self) -> None:
         """Connect, and again whenever the connection is lost, until cancelled."""
         wait_s = BACKOFF_S[0]
-        while True:
-            began_s = self._clock()
+        me = asyncio.current_task()
+        # The client may replace our cancellation by an error of its own.
+        while me is None or not me.cancelling():
+            self._proved = False
             try:
                 await self._connected_once()
             except AirError as error:
                 self._down(str(error))
             except aiomqtt.MqttError as error:
                 self._down(self._in_words(error))
-            if self._clock() - began_s > 2.0 * BACKOFF_S[1]:
+            if self._proved:
                 wait_s = BACKOFF_S[0]
             await asyncio.sleep(random.uniform(0.5, 1.0) * wait_s)
             wait_s = min(BACKOFF_S[1], 2.0 * wait_s)
 
     async def _connected_once(self) -> None:
         """One connection, to its end. Raises what ended it."""
+        self.client_id = f"m3r-{secrets.token_hex(8)}"
         client = aiomqtt.Client(
             self.broker.host,
             self.broker.port,
             username=self._user,
             password=self._password,
-            identifier=f"m3r-{secrets.token_hex(8)}",
+            identifier=self.client_id,
             protocol=aiomqtt.ProtocolVersion.V5,
             clean_start=True,
             keepalive=KEEPALIVE_S,
@@ -189,8 +194,6 @@ class Link:
             self.opened.set_result(None)
 
     def _down(self, why: str) -> None:
-        if self.up_since_s is not None:
-            self.lost_at_s = self._clock()
         self.up_since_s = None
         if not self.opened.done():
             self.opened.set_exception(AirError(why))
@@ -288,10 +291,12 @@ async def _first_to_end(*work: Coroutine[Any, Any, None]) -> None:
         for task in done:
             task.result()
     finally:
-        for task in tasks:
-            task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.gather(*tasks, return_exceptions=True)
+        running: set[asyncio.Task[None]] = set(tasks)
+        while running:
+            for task in running:
+                task.cancel()
+            # Again and again: the client may swallow a cancellation that meets an answer.
+            _, running = await asyncio.wait(running, timeout=0.1)
 
 
 def _quiet() -> logging.Logger:

@@ -7,6 +7,7 @@ of its area, it ends, since two would each grant. For its first seconds it only 
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -33,8 +34,8 @@ from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic
 
 HEARTBEAT_S = 0.5
-LISTEN_S = 1.5
-"""So long after the start nothing new is granted: another authority would be heard by then."""
+LISTEN_S = 1.0
+"""So long after the start it only listens and renews: another authority would be heard by then."""
 AWAY_S = 1.2
 EARTH = LocalFrame(Geodetic(0.0, 0.0, 0.0))
 """Any frame does: it is a rotation and a shift, so distances in it are those in space."""
@@ -60,7 +61,8 @@ class AirspaceService:
         self._epoch = secrets.token_hex(8)
         self._exchange = Exchange(broker, credentials, self._take, say, clock, wall_clock)
         self._authority = Authority()
-        self._began_at_s = clock()
+        self._began_at_s = math.inf
+        """When it was first connected."""
         self._heard_at_s = clock()
         self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -86,12 +88,12 @@ class AirspaceService:
 
     @property
     def _listening(self) -> bool:
-        return self._clock() - self._began_at_s < LISTEN_S
+        return not self._clock() - self._began_at_s >= LISTEN_S
 
     async def _heartbeat(self, ready: Callable[[], None]) -> None:
         said = False
         while True:
-            if self._exchange.link.up:
+            if self._exchange.link.up and not self._listening:
                 self._tell()
             if not said and self._exchange.link.up and not self._listening:
                 said = True
@@ -160,7 +162,7 @@ class AirspaceService:
             reason=verdict.reason,
         )
         self._exchange.send(inbox, answer, self._user, qos=1, correlation=bytes.fromhex(body.id))
-        if before.volumes != after.volumes or before.claims.keys() != after.claims.keys():
+        if not self._listening and (before.volumes != after.volumes or before.claims.keys() != after.claims.keys()):
             self._tell()
         if verdict.granted and isinstance(body.ask, Claim) and body.ask.fence is None:
             self._say(f"{topic.operator} has {topic.drone} (no. {verdict.fence})")

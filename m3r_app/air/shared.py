@@ -31,6 +31,7 @@ from safety.vocabulary import Geodetic, Neighbours, ReservedVolume
 OURS_S = CLAIM_S - 1.0
 RENEW_S = 0.7
 ANSWER_S = 0.9
+ATTACKS = ("forged", "wrong signer", "replayed", "retained", "unreadable")
 AUTHORITY_AGE_S = 2.5
 """Not heard for so long: the authority is gone."""
 
@@ -84,6 +85,7 @@ class SharedAirspace:
         self._opened_at_s = clock()
         self._linked: Mapping[str, Callable[[], Telemetry]] = {}
         self._tasks: list[asyncio.Task[None]] = []
+        self._told_dropped: set[str] = set()
 
     # ------------------------------------------------------------ its life
 
@@ -99,6 +101,9 @@ class SharedAirspace:
         """Let go what is claimed, and disconnect."""
         for drone in list(self._claims):
             self.give_up(drone)
+        if self.dropped:
+            counts = ", ".join(f"{reason} {count}" for reason, count in sorted(self.dropped.items()))
+            self._say(f"messages dropped in the shared air: {counts}")
         await asyncio.sleep(0.05 if self._tasks else 0.0)  # the last words leave
         for task in self._tasks:
             task.cancel()
@@ -110,13 +115,23 @@ class SharedAirspace:
         self._linked = linked
 
     @property
-    def connected(self) -> bool:
-        return self._exchange.link.up
+    def trouble(self) -> str | None:
+        """What is missing, in two words; None: nothing."""
+        if not self._exchange.link.up:
+            return "no broker"
+        return "no authority" if self._authority_silent(self._clock()) is not None else None
 
     @property
     def dropped(self) -> Mapping[str, int]:
         """Messages that were dropped, by reason."""
         return self._exchange.dropped
+
+    def _tell_dropped(self) -> None:
+        """Somebody who tries to get in is said once for each way of trying; the counts go on."""
+        for reason in ATTACKS:
+            if self._exchange.dropped[reason] and reason not in self._told_dropped:
+                self._told_dropped.add(reason)
+                self._say(f"a message in the shared air was dropped ({reason}): somebody may be trying to get in")
 
     async def _keep(self) -> None:
         """Renew claims, look after the authority, follow the cells."""
@@ -125,10 +140,11 @@ class SharedAirspace:
             now_s = self._clock()
             self._pending = {k: p for k, p in self._pending.items() if p.late_at_s > now_s}
             self._listen()
+            self._tell_dropped()
             for drone, claimed in self._claims.items():
                 if claimed.refused is None:
                     self._renew(drone, claimed)
-            silent = self._authority_silent(now_s)
+            silent = self._authority_silent(now_s) if self._exchange.link.up else None
             if (silent is None) != self._authority_heard and now_s - self._opened_at_s > AUTHORITY_AGE_S:
                 self._authority_heard = silent is None
                 self._say(silent or f"the airspace authority of {self._credentials.area} is heard again")
@@ -319,6 +335,8 @@ class SharedAirspace:
 
     def _authority_silent(self, now_s: float) -> str | None:
         area = self._credentials.area
+        if not self._exchange.link.up:
+            return f"{self._exchange.link.broker} is not reached"
         if not now_s - self._held_at_s <= AUTHORITY_AGE_S:
             return f"the airspace authority of {area} is not heard: start m3r airspace, or wait for the network"
         if sum(now_s - at_s <= AUTHORITY_AGE_S for at_s in self._epochs.values()) > 1:

@@ -31,9 +31,14 @@ def main(arguments: list[str] | None = None) -> int:
         "--port-base", type=int, default=FIRST_PORT, help="UDP port of the first drone's ground station (14540)"
     )
     parser.add_argument("--truth", type=Path, help="write every drone's true state there, JSON lines")
+    parser.add_argument("--broker", help="tell this MQTT broker where the drones are")
+    parser.add_argument("--credentials", type=Path, help="of an operator who flies them")
     parser.add_argument("--die-with-parent", action="store_true", help="end when standard input closes")
     options = parser.parse_args(arguments)
     truth = None
+    if (options.broker is None) != (options.credentials is None):
+        print("--broker and --credentials are given together or not at all", file=sys.stderr)
+        return 2
     try:
         scenario = load_scenario(options.scenario)
         count = len(scenario.vehicles) + len(scenario.traffic)
@@ -41,6 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
             raise ValueError(f"--port-base {options.port_base}: {count} ports from 1024 to 65535 are needed")
         truth = options.truth.open("w", buffering=1, encoding="utf-8") if options.truth else None
         fleet = Fleet(scenario, options.port_base, truth)
+        if options.broker is not None:
+            _tell(fleet, options.broker, options.credentials)
     except OSError as error:
         print(f"{error.filename or 'network'}: {error.strerror or error}", file=sys.stderr)
         return 2
@@ -65,6 +72,17 @@ def main(arguments: list[str] | None = None) -> int:
     if truth is not None:
         truth.close()
     return 0
+
+
+def _tell(fleet: Fleet, broker: str, credentials: Path) -> None:
+    """Raises ValueError with one sentence."""
+    from m3r_app.air.credentials import AirError
+    from m3r_app.sim.telling import start_telling
+
+    try:
+        start_telling(fleet, broker, credentials)
+    except AirError as error:
+        raise ValueError(str(error)) from None
 
 
 def _input_closed() -> bool:

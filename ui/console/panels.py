@@ -108,6 +108,8 @@ def title(picture: Picture | None, *, dry_run: bool, looking: bool) -> Text:
         text.append(f" {picture.state.mode.value}")
         if drone.position is not None:
             text.append(f"  {-drone.position.down:.1f} m up, {drone.flight_mode.lower()}", style=DIM)
+    if picture.air_trouble is not None:
+        text.append(f"  {picture.air_trouble}", style=BROKEN)
     if dry_run:
         text.append("  dry run: nothing is flown", style=NEAR)
     elif looking:

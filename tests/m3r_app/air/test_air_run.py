@@ -1,0 +1,167 @@
+"""The whole app in shared air: real processes, real UDP, real Mosquitto, judged on the true state. P1, X3, X8, X10, R5, R11."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from safety.vocabulary import Ned
+from tests.air import ROOT, Broker, app, broker, until
+from tests.whole import HILLSIDE, PLAIN, App, Simulated, m3r, simulated
+
+pytestmark = pytest.mark.xdist_group("air")
+
+
+@pytest.fixture
+def air(tmp_path: Path) -> Iterator[Broker]:
+    with broker(tmp_path) as one:
+        yield one
+
+
+@contextmanager
+def service(*words: str, ready: str) -> Iterator[subprocess.Popen[str]]:
+    """A running `m3r airspace` or `m3r beacon`, from when it says that it is ready."""
+    process = subprocess.Popen([sys.executable, "-m", "ui.entry", *words], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            if ready in line:
+                break
+        else:
+            raise AssertionError(f"{words[0]} ended with {process.wait()}")
+        yield process
+    finally:
+        process.terminate()
+        process.stderr.close()
+        process.wait(10)
+
+
+def authority(air: Broker, tmp_path: Path) -> object:
+    words = ("airspace", "--broker", air.url, "--credentials", str(air.credentials("airspace.field")))
+    return service(*words, "--memory", str(tmp_path / "memory"), ready="is looked after")
+
+
+def flight(air: Broker, fleet: Simulated, operator: str, drone: str, script: Path) -> list[str]:
+    return [
+        *("run", "--headless", "--scenario", str(PLAIN), "--vehicle", f"{drone}={fleet.urls[drone]}", "--pair", drone),
+        *("--script", str(script), "--broker", air.url, "--credentials", str(air.credentials(f"operator.{operator}"))),
+    ]
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_two_operators_fly_side_by_side_and_no_drone_has_two(air: Broker, tmp_path: Path) -> None:
+    """Each app knows the other's drone over the broker alone; the second one who wants red is told who holds it."""
+    left = written(tmp_path / "left", "0.5 panel go left\n")
+    long = written(tmp_path / "long", "0.5 panel go up\n9 panel go down\n")
+    with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
+        alice = App(flight(air, fleet, "alice", "red", long))
+        try:
+            alice.until("pair", status="confirmed")
+            second = [w.replace(fleet.urls["red"], fleet.urls["green"]) for w in flight(air, fleet, "bob", "red", left)]
+            refused = m3r(*second)
+            assert refused.status == 3
+            assert refused.of("pair", status="refused")[0]["reasons"] == ["alice holds it"]
+            bob = m3r(*flight(air, fleet, "bob", "blue", left), "--apply-failsafe")
+            assert bob.status == 0 and bob.verdicts() == {"script-1": "approved"}
+            separation = [f for f in bob.of("decision")[0]["findings"] if f["constraint"] == "separation"]
+            assert separation[0]["text"].startswith("red: ")
+            assert bob.of("motion", status="completed")[0]["min_separation_m"] is not None
+        finally:
+            ran = alice.finish()
+        assert ran.status == 0
+        assert "Red: bob asks for it; disconnect to hand it over" in [e["text"] for e in ran.of("announce")]
+
+
+def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
+    """It is said within 2 s, what flies is aborted, moves are refused, STOP is not, and the claim ends honestly, in Hold."""
+    script = written(tmp_path / "script", "0.5 panel go left\n3.5 panel go up\n4 panel stop\n9 panel go up\n")
+    with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
+        alice = App(flight(air, fleet, "alice", "red", script))
+        alice.until("motion", status="started")
+        air.stop(hard=True)
+        died_s = alice.events[-1]["t"]
+        ran = alice.finish()
+        said = next(e for e in ran.of("announce") if air.url in e["text"] and e["t"] > died_s)
+        assert said["t"] - died_s < 2.0
+        (aborted,) = ran.of("motion", request="script-1", status="aborted")
+        assert aborted["t"] - died_s < 2.0
+        verdicts = ran.verdicts()
+        assert verdicts["script-2"] == "rejected"
+        failing = {f["constraint"] for f in ran.of("decision", request="script-2")[0]["findings"] if not f["passed"]}
+        assert failing & {"neighbour_age", "reservation"}
+        (released,) = ran.of("pair", status="released")
+        assert "its claim could not be renewed for 4 s" in released["reasons"][0]
+        assert verdicts["script-4"] == "rejected", "not ours any more"
+        assert fleet.wait("red", mode="LOITER")
+        assert ran.status == 0 and ran.of("end")[0]["violations"] == 0
+
+
+def test_a_beacon_tells_of_a_drone_that_nobody_flies(air: Broker, tmp_path: Path) -> None:
+    script = written(tmp_path / "script", "0.5 panel go left\n")
+    with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
+        words = ("beacon", "--vehicle", f"yellow={fleet.urls['blue']}", "--broker", air.url)
+        with service(*words, "--credentials", str(air.credentials("drone.yellow")), ready="telling where yellow is"):
+            ran = m3r(*flight(air, fleet, "alice", "red", script))
+        assert ran.verdicts() == {"script-1": "approved"}
+        (found,) = [f for f in ran.of("decision")[0]["findings"] if f["constraint"] == "separation"]
+        assert found["text"].startswith("yellow: ")
+
+
+@pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_services_end_as_they_are_told(air: Broker, tmp_path: Path, how: signal.Signals, status: int) -> None:
+    with authority(air, tmp_path) as process:
+        process.send_signal(how)
+        assert process.wait(10) == status
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--broker", "mqtts://localhost"], "--broker is given without --credentials FILE"),
+    (["--credentials", "nowhere.json"], "--credentials is given without --broker"),
+    (["--broker", "mqtts://localhost", "--credentials", "nowhere.json"], "credentials nowhere.json cannot be read"),
+    (["--broker", "http://localhost", "--credentials", "nowhere.json"], "is no broker's address"),
+    (["--broker", "mqtt://example.org", "--credentials", "nowhere.json"], "would send the password unprotected"),
+    (["--broker", "mqtts://a:b@localhost", "--credentials", "nowhere.json"], "can be seen by everybody"),
+])  # fmt: skip
+def test_bad_options_are_one_sentence(words: list[str], told: str) -> None:
+    ran = m3r("run", "--headless", *words)
+    assert ran.status == 2
+    assert told in ran.told and "Traceback" not in ran.told
+    assert sum(line.startswith("m3r: ") for line in ran.told.splitlines()) == 1
+
+
+async def test_the_simulated_fleet_tells_of_itself(air: Broker, tmp_path: Path) -> None:
+    words = ["--broker", air.url, "--credentials", str(air.credentials("operator.alice"))]
+    with authority(air, tmp_path), simulated(HILLSIDE, tmp_path, *words):
+        async with app(air, "bob", white=Ned(0.0, 0.0, -10.0)) as bob:
+            await until(lambda: all(bob.sees("white", name) for name in ("red", "green", "blue")))
+            assert bob.neighbours("white").sigmas_m == pytest.approx(0.3, abs=1.0)
+
+
+def test_check_tells_whether_the_air_can_be_shared(air: Broker, tmp_path: Path) -> None:
+    words = ("check", "--broker", air.url, "--credentials")
+    alice = str(air.credentials("operator.alice"))
+    with authority(air, tmp_path):
+        told = said(*words, alice)
+    assert "lets operator.alice in" in told and "the airspace authority of field is heard" in told
+    told = said(*words, alice)
+    assert "is not heard" in told and "start m3r airspace" in told
+    air.stop()
+    assert "nobody answers at" in said(*words, alice)
+    air.start()
+
+
+def said(*words: str) -> str:
+    command = [sys.executable, "-c", "from ui.check_air import air; from ui.check import *; import ui.check as c; "]
+    command[-1] += "c.PARTS = (('broker', air),); import sys; from ui.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return " ".join(done.stdout.split())
