@@ -22,6 +22,7 @@ from m3r_app import failsafe
 from m3r_app.airspace import Airspace, LocalAirspace
 from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
 from m3r_app.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.groundwork import GroundWork
 from m3r_app.guard import Guard
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.modes import State
@@ -37,6 +38,7 @@ from m3r_app.vehicle import VehicleError
 from modalities.gestures import Hand
 from modalities.own_voice import OwnVoice
 from modalities.push_to_talk import PushToTalk
+from safety.vocabulary import Command, ManeuverRequest
 
 if TYPE_CHECKING:
     from m3r_app.viewer import Viewer
@@ -102,6 +104,8 @@ class Run:
         self._emit = emit
         self._sinks: list[Recorder | Viewer] = []
         self.shell: Shell | None = None
+        self.ground: GroundWork | None = None
+        """What takes off and lands, once there is a fleet."""
 
     # ------------------------------------------------------------ output
 
@@ -114,6 +118,14 @@ class Run:
     def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
         for sink in self._sinks:
             sink.record(topic, t_s - self.started_s, data)
+
+    def take(self, request: ManeuverRequest) -> None:
+        """A request of any modality. STOP also ends a take-off or landing, which are no maneuvers. Source: X4."""
+        if self.shell is None:
+            return
+        if self.ground is not None and request.command is Command.STOP:
+            self.ground.stop()
+        self.shell.inbox.put(request_event(request))
 
     def refuse_to_suspend(self) -> None:
         self.emit("announce", {"text": "a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C"})
@@ -184,6 +196,7 @@ class Run:
             stack.callback(guard.close)
             airspace = await self._airspace(setting, fleet, stack)
             shell = self.shell = self._shell(setting, fleet, guard, airspace)
+            self.ground = GroundWork(shell, lambda text: self.emit("announce", {"text": text}))
             stack.push_async_callback(shell.close)
             stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
             async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
@@ -333,7 +346,7 @@ class Run:
                 raise NoPairing
         damage = await inputs.play(
             self.clock,
-            lambda request: shell.inbox.put(request_event(request)),
+            self.take,
             Senses(self._heard, self._loud, self._seen, self._hands),
         )
         if self.options.console:

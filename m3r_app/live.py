@@ -16,10 +16,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from m3r_app.app import Emit, Run
-from m3r_app.groundwork import GroundWork
 from m3r_app.options import RunOptions
 from m3r_app.picture import Picture, craft, heard_of
-from m3r_app.shell import request_event
 from modalities.own_voice import OwnVoice
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
@@ -46,7 +44,6 @@ class Live:
         self._own_voice = own_voice
         self._loop: asyncio.AbstractEventLoop | None = None
         self._run: Run | None = None
-        self._ground: GroundWork | None = None
         self._asked = 0
         self._wanted_end = threading.Event()
         self._ended = threading.Event()
@@ -68,7 +65,7 @@ class Live:
     def ask(self, command: Command, colour: str | None = None, evidence: str = "") -> ManeuverRequest:
         """A request of the panel, stamped now. colour: the drone to activate."""
         request = self.request(command, colour, evidence)
-        self._post(lambda run: self._take(run, request))
+        self._post(lambda run: run.take(request))
         return request
 
     def request(self, command: Command, colour: str | None = None, evidence: str = "") -> ManeuverRequest:
@@ -81,11 +78,11 @@ class Live:
 
     def take_off(self, colour: str, metres: float) -> None:
         """Take off to `metres` and hold there. Confirmed by whoever calls; only in NormalAutonomy (design 15)."""
-        self._post(lambda _: self._ground.take_off(colour, metres) if self._ground is not None else None)
+        self._post(lambda run: run.ground.take_off(colour, metres) if run.ground is not None else None)
 
     def land(self, colour: str) -> None:
         """Land where it is. Confirmed by whoever calls; only in NormalAutonomy (design 15)."""
-        self._post(lambda _: self._ground.land(colour) if self._ground is not None else None)
+        self._post(lambda run: run.ground.land(colour) if run.ground is not None else None)
 
     def talk(self) -> None:
         """Open or close a push-to-talk microphone; without one, nothing."""
@@ -120,12 +117,6 @@ class Live:
             with contextlib.suppress(RuntimeError):  # the loop has closed: there is nothing left to ask
                 loop.call_soon_threadsafe(work, run)
 
-    def _take(self, run: Run, request: ManeuverRequest) -> None:
-        if self._ground is not None and request.command is Command.STOP:
-            self._ground.stop()
-        if run.shell is not None:
-            run.shell.inbox.put(request_event(request))
-
     def _live(self) -> None:
         try:
             self._status = asyncio.run(self._whole())
@@ -147,15 +138,13 @@ class Live:
         finally:
             watching.cancel()
             # MAVSDK's objects end here, where they began, and not when the interpreter does.
-            self._run = self._ground = None
+            self._run = None
 
     async def _watch(self, run: Run) -> None:
         while True:
             await asyncio.sleep(PICTURE_S)
             if run.shell is None or run.setting is None:
                 continue
-            if self._ground is None:
-                self._ground = GroundWork(run.shell, lambda text: run.emit("announce", {"text": text}))
             now_s, fleet, frame = run.clock(), run.shell.fleet, run.setting.frame
             told = (
                 *(craft(name, v.telemetry(), frame, now_s, ours=True) for name, v in fleet.vehicles.items()),

@@ -39,8 +39,10 @@ def check_link(url: str) -> None:
         require_free(host, port, socket.SOCK_STREAM)
 
 
-def require_free(host: str, port: int, kind: int = socket.SOCK_DGRAM) -> None:
-    """Raise LinkError if the local port cannot be bound exclusively."""
+def require_free(
+    host: str, port: int, kind: int = socket.SOCK_DGRAM, otherwise: str = "give the vehicle another port"
+) -> None:
+    """Raise LinkError if the local port cannot be bound exclusively. otherwise: what else a person can do."""
     name = "UDP" if kind == socket.SOCK_DGRAM else "TCP"
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, kind) as probe:
@@ -50,7 +52,7 @@ def require_free(host: str, port: int, kind: int = socket.SOCK_DGRAM) -> None:
             if error.errno == errno.EADDRINUSE:
                 raise LinkError(
                     f"{name} port {port} is held by another program: end that program (another m3r, a ground "
-                    "station) or give the vehicle another port."
+                    f"station) or {otherwise}."
                 ) from None
             raise LinkError(f"{name} port {port} on {host} cannot be opened: {error.strerror}.") from None
         except OverflowError:

@@ -41,7 +41,7 @@ class Viewer:
         """Open the port on loopback. Raises LinkError where somebody else holds it."""
         import socket
 
-        require_free(HOST, port, socket.SOCK_STREAM)
+        require_free(HOST, port, socket.SOCK_STREAM, "choose another with --view")
         foxglove.set_log_level("ERROR")
         self._context = foxglove.Context()
         self._server = foxglove.start_server(

@@ -30,7 +30,7 @@ POLICY = (
     "font-src 'self' data:; connect-src 'self' ws://127.0.0.1:{port}"
 )
 """Nothing is fetched from elsewhere: a laptop in a field has no network, and needs none."""
-ELSEWHERE = re.compile(r'<link[^>]*href="https?://[^>]*>')
+ELSEWHERE = re.compile(rf'<link[^>]*href="https?://(?!{re.escape(HOST)}:)[^>]*>')
 FOCUS = """<script>
 const look = setInterval(() => {
   const keyboard = document.querySelector("textarea");
@@ -85,7 +85,7 @@ class Console(Server):
 
 def serve(words: Sequence[str], port: int) -> int:
     """Serve until interrupted. words: options of the console. Raises LinkError for a port in use."""
-    require_free(HOST, port, socket.SOCK_STREAM)
+    require_free(HOST, port, socket.SOCK_STREAM, "choose another with --port")
     with tempfile.TemporaryDirectory(prefix="m3r-") as folder:
         command = [sys.executable, "-m", "ui.entry", "console", "--seat", str(Path(folder) / "seat"), *words]
         # exec: no shell stays between the server and the console, so that neither outlives the other.

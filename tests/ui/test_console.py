@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from textual.command import CommandPalette
+from textual.strip import Strip
 from textual.widgets import Button, Static
+from textual.widgets._toast import Toast
 
 from m3r_app.modes import State
 from m3r_app.preparation import Setting
@@ -18,6 +23,7 @@ from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, draw
 from ui.console.keys import FLOOD, KEYS
 from ui.console.prompts import READ_S, Help, Question
 from ui.console.terminal import PlainSigns, is_plain, plain_signs
+from ui.console.views import heights
 
 pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
 
@@ -306,6 +312,121 @@ async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting
             assert all(toast.message.startswith("Red: blocked, the wall") for toast in toasts)
 
 
+@pytest.mark.parametrize("size", [SMALL, LARGE])
+async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting, size: tuple[int, int]) -> None:
+    stage = Stage(flying_picture(setting))
+    app = console(stage, [REJECTED] * 6)
+    async with app.run_test(size=size, notifications=True) as pilot:
+        await pilot.pause(0.4)
+        assert app.screen.query(Toast)
+        for number in range(3):  # a toast that covers it takes the click
+            await pilot.click("#stop", offset=(1 + 5 * number, number))
+            await pilot.pause(0.4)  # a button takes no second click within 0.2 s
+        stage.now_s += 1.0
+        await pilot.click("#help")
+        await pilot.pause(0.1)
+        assert isinstance(app.screen, Help)
+    assert stage.commands == [Command.STOP] * 3
+
+
+async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
+    app = console(Stage(flying_picture(setting)))
+    async with app.run_test(size=SMALL, notifications=True) as pilot:
+        for number in range(5):
+            finding = {
+                **SHORTENED["findings"][0],
+                "text": f"wall {number}: a reason that is told in more than one line",
+            }
+            app._flying._events.append({**REJECTED, "findings": [finding]})
+            await pilot.pause(0.3)
+            shown = [line for line in map(_told, app.screen._compositor.render_strips()) if "▌ Red: blocked" in line]
+            assert f"wall {number}" in shown[-1]
+
+
+async def test_a_refusal_says_what_was_asked(setting: Setting) -> None:
+    app = console(Stage(flying_picture(setting)), [REJECTED])
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.pause(0.3)
+        assert "rejected, 1.00 m asked" in text_of(drawn(app))
+
+
+async def test_with_many_drones_every_answer_is_on_the_screen_and_named(
+    setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
+    picture = flying_picture(setting, paired=False)
+    names = ("red", "green", "blue", "yellow", "magenta", "cyan", "white", "orange", "purple")
+    stage = Stage(replace(picture, craft=tuple(replace(picture.craft[0], name=name) for name in names)))
+    app = console(stage)
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.press("l")
+        await pilot.pause()
+        for button in app.screen.query(Button):
+            assert app.screen.region.contains_region(button.region), button.label
+            assert button.size.width >= len(str(button.label))
+        await pilot.press("down", "down", "enter")
+        await pilot.pause()
+    assert stage.ground == [("land", "green")]
+
+
+async def test_a_long_preview_is_read_by_keys(setting: Setting) -> None:
+    app = console(Stage(flying_picture(setting)))
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.press("d", "pagedown")
+        await pilot.pause(0.3)
+        assert "no reserved volume" not in text_of(drawn(app))
+        await pilot.press(*["down"] * 20)
+        await pilot.pause(0.3)
+        assert "no reserved volume" in text_of(drawn(app))
+
+
+async def test_the_whole_caption_is_shown(setting: Setting) -> None:
+    app = console(Stage(flying_picture(setting)))
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.pause(1.2)
+        assert "C courier" in text_of(drawn(app))
+        await pilot.press("v")
+        await pilot.pause(1.2)
+        assert "towards the drone" in text_of(drawn(app))
+
+
+async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setting: Setting) -> None:
+    app = console(Stage(flying_picture(setting)))
+    async with app.run_test(size=SMALL) as pilot:
+        await pilot.press("ctrl+p")
+        await pilot.pause(0.5)
+        shown = text_of(drawn(app))
+    assert "STOP by space or Escape" in shown
+    assert "Red: ask to go left" in shown
+
+
+@pytest.mark.parametrize("theme", ["textual-dark", "textual-light"])
+async def test_a_neighbour_of_no_colour_is_seen_in_both_themes(setting: Setting, theme: str) -> None:
+    picture = flying_picture(setting)
+    fresh = tuple(replace(one, age_s=0.1) for one in picture.craft)
+    app = console(Stage(replace(picture, craft=fresh)))
+    async with app.run_test(size=SMALL) as pilot:
+        app.theme = theme
+        await pilot.pause(1.2)
+        segments = [s for strip in app.screen._compositor.render_strips() for s in strip if s.text == "C"]
+        styles = [s.style.color.get_truecolor() for s in segments if s.style and s.style.color]
+        dark = [0.3 * r + 0.6 * g + 0.1 * b < 128 for r, g, b in styles]
+        assert dark == [theme == "textual-light"] * len(dark)
+        assert dark
+
+
+@given(st.floats(-100.0, 100.0), st.floats(0.5, 200.0), st.integers(1, 60))
+def test_no_height_is_written_over_another(low_m: float, span_m: float, rows: int) -> None:
+    ticks = heights(low_m, low_m + span_m, rows)
+    assert all(low_m - 1e-6 <= tick <= low_m + span_m + 1e-6 for tick in ticks)
+    assert all(b - a > span_m / rows for a, b in pairwise(ticks))
+    assert not any(str(tick).startswith("-0.0") and tick == 0.0 for tick in ticks)
+
+
+def _told(strip: Strip) -> str:
+    return "".join(segment.text for segment in strip)
+
+
 async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -> None:
     stage = Stage(flying_picture(setting))
     app = console(stage)
@@ -370,6 +491,10 @@ async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch
             for strip in app.screen._compositor.render_strips()
         ]
         assert all(segment.text.isascii() for line in lines for segment in line)
+        shown = ["".join(segment.text for segment in line) for line in lines]
+        assert not any("####" in line[:75] for line in shown[:30]), "lines of all kinds as one block"
+        assert any("xxxx" in line for line in shown)  # the fence
+        assert any("....." in line[:75] for line in shown)  # contours
         assert any(isinstance(one, PlainSigns) for one in app.get_line_filters())
 
 
@@ -381,6 +506,14 @@ async def test_without_colour_the_signs_tell(setting: Setting, monkeypatch: pyte
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause(0.4)
         shown = text_of(drawn(app))
+        lines = [list(strip) for strip in app.screen._compositor.render_strips()]
+        for one in app.get_line_filters():
+            lines = [one.apply(line, app.screen.background_colors[1]) for line in lines]
+        for text in (" Red ", "↓", "B"):  # whose name it is may not sink into what is behind it
+            style = next(s.style for line in lines for s in line if s.text == text)
+            assert style is not None and style.color is not None and style.bgcolor is not None
+            ink, paper = (sum(c.get_truecolor()) / 3.0 for c in (style.color, style.bgcolor))
+            assert abs(ink - paper) > 100.0, text
     assert "!battery" in shown
     assert "!link age" in shown
     assert "[Armed]" in shown

@@ -24,6 +24,7 @@ from urllib.error import HTTPError
 import pytest
 
 from tests.whole import HILLSIDE, PATIENCE_S, ROOT, Simulated, simulated
+from ui.console.prompts import READ_S
 
 
 class Terminal:
@@ -109,6 +110,27 @@ def test_a_terminal_that_takes_nothing_any_more_does_not_keep_the_process(tmp_pa
         os.kill(screen.process_id, signals)
     screen.hang_up()
     assert screen.wait() == 130
+
+
+def test_stop_of_another_modality_ends_a_take_off_from_the_console(tmp_path: Path) -> None:
+    script = tmp_path / "said.txt"
+    script.write_text("5.0 voice stop\n")
+    with simulated(HILLSIDE, tmp_path) as fleet:
+        words = ["console", "--quiet", "--takeoff", "20", "--script", str(script), "--scenario", str(HILLSIDE)]
+        screen = Terminal(*words, *fleet.vehicles)
+        screen.until(lambda: "no drone paired" in screen.words, "a picture")
+        screen.type("o")
+        screen.until(lambda: "nobody is near" in screen.words, "asked")
+        asked_s = time.monotonic()
+        screen.until(lambda: time.monotonic() - asked_s > 2.0 * READ_S, "read")  # or nobody has read the question
+        screen.type("y")
+        screen.until(lambda: "taking off" in screen.words, "taking off")
+        screen.until(lambda: "Blue: holding" in screen.words, "held")
+        assert fleet.wait("blue", mode="LOITER")["armed"]
+        climbed_m = fleet.states("blue")[0]["ned_m"][2] - fleet.last("blue")["ned_m"][2]
+        assert climbed_m < 15.0
+        screen.hang_up()
+        assert screen.wait() == 130
 
 
 def test_leaving_is_asked_and_ends_normally(tmp_path: Path) -> None:
@@ -236,6 +258,9 @@ def test_the_page_of_somebody_else_reaches_nothing() -> None:
             policy = page.headers["Content-Security-Policy"]
         assert "https://" not in re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
         assert policy.startswith("default-src 'none'")
+        (style,) = re.findall(r'<link[^>]*href="([^"]*)"', text)  # without it a field to type in lies over the console
+        with urllib.request.urlopen(style, timeout=10) as sheet:
+            assert b"xterm-helper-textarea" in sheet.read()
 
 
 def test_what_is_wrong_is_told_before_it_serves(tmp_path: Path) -> None:
@@ -261,4 +286,5 @@ def test_a_port_in_use_is_told() -> None:
         )
     assert ended.returncode == 2
     assert f"port {port} is held by another program" in ended.stderr
+    assert "--port" in ended.stderr
     assert ended.stderr.count("\n") == 1

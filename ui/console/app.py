@@ -16,6 +16,7 @@ from rich.text import Text
 from textual import events
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
+from textual.command import CommandPalette
 from textual.containers import Container, Horizontal, Vertical
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Button, RichLog, Static
@@ -45,6 +46,8 @@ LARGE = (120, 40)
 """From this size on everything is shown at once."""
 KEPT_EVENTS = 2000
 LOG_LINES = 1000
+TOASTS = 2
+"""So many are seen at once."""
 TAKEOFF_M = 5.0
 """How high the console offers to take off, unless told otherwise."""
 STOP_KEYS = ("space", "escape")
@@ -83,7 +86,8 @@ q, Ctrl-C       leave: the drone stays in Hold
 
 Left, right, forward and back are yours, as you look at the drone.
 Nothing you ask for is a command: what is not safe is shortened or refused, and the log says why.
-Signs: O you, the arrow is the drone, + the anchor with its workspace, letters are other aircraft."""
+Signs: O you, the arrow is the drone, + the anchor with its workspace, letters are other aircraft.
+?, q or Enter close this."""
 
 
 class Key(Button):
@@ -134,6 +138,7 @@ class Flying(Screen[None]):
         self._last: dict[str, tuple[float, float]] = {}
         self._colours: tuple[str, ...] = ()
         self._before: Mapping[str, Any] | None = None
+        self._toasted_s: deque[float] = deque(maxlen=TOASTS)
 
     # ------------------------------------------------------------ what there is
 
@@ -217,7 +222,7 @@ class Flying(Screen[None]):
         )
         view.draw(drawing, plain=bool(getattr(self.app, "plain", False)))
         if above or not both:
-            self._show("#caption", Text(drawing.caption, style="dim", no_wrap=True, overflow="ellipsis"))
+            self._show("#caption", Text(drawing.caption, style="dim", overflow="ellipsis"))
 
     def _show(self, selector: str, text: Text) -> None:
         """Update only what has changed."""
@@ -241,7 +246,16 @@ class Flying(Screen[None]):
                 self._asked = Asked(event.get("requested_m"), event.get("granted_m"))
             toast = story.toast(event, session.colour if session is not None else "")
             if toast is not None:
-                self.notify(toast, severity="error", markup=False)
+                self._toast(toast)
+
+    def _toast(self, text: str) -> None:
+        """Of more than are seen at once the older go: the newest is always seen."""
+        now_s = self._live.clock()
+        if len(self._toasted_s) == TOASTS and now_s - self._toasted_s[0] < self.app.NOTIFICATION_TIMEOUT:
+            self.app.clear_notifications()
+            self._toasted_s.clear()
+        self._toasted_s.append(now_s)
+        self.notify(text, severity="error", markup=False)
 
     def _show_colours(self, picture: Picture) -> None:
         self._colours = picture.setting.colours
@@ -366,7 +380,7 @@ class Flying(Screen[None]):
         height = f" to {self._takeoff_m:g} m" if what == "take off" else ""
         choices = tuple(Choice(f"{c.name.capitalize()}: {what}{height}", c.name) for c in able)
         names = " or ".join(c.name.capitalize() for c in able)
-        question = f"{names}: {what}{height}? Look that nobody is near. This is not checked against terrain or others."
+        question = f"{names}: {what}{height}? See that nobody is near. This is not checked against terrain or others."
         self._question(question, choices, then)
 
     def _look_first(self, command: Command, picture: Picture) -> None:
@@ -423,7 +437,8 @@ class Console(App[None]):
         super().__init__()
         self.live = live
         self._seat = seat
-        self._filters.insert(0, Styled())
+        if self.no_color:
+            self._filters.insert(0, Styled())
         self.plain = is_plain(os.environ)
         if self.plain:
             self._filters.append(PlainSigns())
@@ -445,20 +460,21 @@ class Console(App[None]):
             await super().on_event(event)
 
     def get_system_commands(self, _screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """The palette: everything that has a key, by its name."""
+        """The palette: everything that has a key, by its name, and whom it is for."""
         flying = self._flying
-        yield SystemCommand("STOP", "Hold now", self.action_stop)
+        drone = flying._colour or "No drone is paired"
+        yield SystemCommand("STOP", f"{drone}: hold now", self.action_stop)
         for command in KEYS.values():
             yield SystemCommand(
                 story.words(command.value).capitalize(),
-                f"Ask to {story.words(command.value)}",
+                f"{drone}: ask to {story.words(command.value)}",
                 lambda c=command: flying.action_ask(c.value),
             )
         for number, colour in enumerate(flying._colours):
             yield SystemCommand(
                 f"Pair with {colour.capitalize()}", "Ask to pair", lambda n=number: flying.action_pair(n)
             )
-        yield SystemCommand("Disconnect", "Leave the drone in Hold", flying.action_disconnect)
+        yield SystemCommand("Disconnect", f"{drone}: stays in Hold", flying.action_disconnect)
         yield SystemCommand("Take off", "A drone that nobody is paired with", flying.action_take_off)
         yield SystemCommand("Land", "A drone that nobody is paired with", flying.action_land)
         yield SystemCommand("Look first", "Show what a request would become before it is asked", flying.action_look)
@@ -466,6 +482,11 @@ class Console(App[None]):
         yield SystemCommand("Dark or light", "Change the theme", flying.action_theme)
         yield SystemCommand("Help", "All keys", flying.action_help)
         yield SystemCommand("Leave", "The drone stays in Hold", flying.action_leave)
+
+    def action_command_palette(self) -> None:
+        """Textual's, with a word about the keys that are STOP here too."""
+        if not isinstance(self.screen, CommandPalette):
+            self.push_screen(CommandPalette(id="--command-palette", placeholder="Search, or STOP by space or Escape"))
 
     def action_stop(self) -> None:
         """From every focus; a question that is open is answered by no."""

@@ -187,9 +187,7 @@ def from_side(picture: Picture, reach_m: float, aspect: float, asked: Asked | No
             marks.append(Mark("drone", at(place)[0], -place.down, "◆", one.name))
         elif beside_m <= NEAR_PLANE_M:
             marks.append(Mark(_kind(one, picture), at(place)[0], -place.down, one.name[:1].upper(), one.name))
-    return Drawing(
-        window, tuple(strokes), tuple(marks), "height above you against the ground, along the line to the drone"
-    )
+    return Drawing(window, tuple(strokes), tuple(marks), "height above you, towards the drone")
 
 
 def caption(picture: Picture) -> str:

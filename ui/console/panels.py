@@ -118,8 +118,8 @@ def title(picture: Picture | None, *, dry_run: bool, looking: bool) -> Text:
 
 
 def ink(name: str) -> str:
-    """A drone's colour as a style, where its name is one that every terminal has."""
-    return name if name in ("red", "green", "blue", "yellow", "magenta", "cyan", "white") else "white"
+    """A drone's colour as a style, where its name is one that every theme shows; else none, which all do."""
+    return name if name in ("red", "green", "blue", "yellow", "magenta", "cyan") else ""
 
 
 def _ago(last: tuple[float, float] | None, now_s: float) -> str:

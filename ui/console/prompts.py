@@ -36,6 +36,8 @@ class Question(ModalScreen[str | None]):
         Binding("y", "yes", "Yes", show=False),
         Binding("left", "app.focus_previous", show=False),
         Binding("right", "app.focus_next", show=False),
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
     ]
 
     def __init__(self, text: RenderableType, choices: tuple[Choice, ...], refusal: str = "No") -> None:
@@ -49,7 +51,7 @@ class Question(ModalScreen[str | None]):
         with Vertical(id="question"):
             with VerticalScroll(id="asked", can_focus=False):
                 yield Static(self._text, markup=False)
-            with Horizontal(id="answers"):
+            with (Horizontal if len(self._choices) == 1 else Vertical)(id="answers"):
                 yield Button(f"{self._refusal} (n)", id="no", compact=True)
                 for number, choice in enumerate(self._choices):
                     key = " (y)" if number == 0 else ""
@@ -72,6 +74,13 @@ class Question(ModalScreen[str | None]):
         if 0.0 < at_s - self._typed_s < READ_S:
             self._since_s = at_s
         self._typed_s = at_s
+
+    def action_move(self, by: int) -> None:
+        """Among answers that stand below each other; else in the text, where it is longer than the screen."""
+        if len(self._choices) > 1:
+            self.focus_next() if by > 0 else self.focus_previous()
+        else:
+            self.query_one("#asked", VerticalScroll).scroll_relative(y=by)
 
     def action_yes(self) -> None:
         self.action_answer(self._choices[0].answer)

@@ -53,7 +53,7 @@ def verdict(decision: Mapping[str, Any]) -> Text:
     if granted_m is not None and requested_m is not None:
         text.append(f" {granted_m:.2f} m of {requested_m:.2f} m")
     elif requested_m is not None:
-        text.append(f" of {requested_m:.2f} m")
+        text.append(f", {requested_m:.2f} m asked")
     return text
 
 

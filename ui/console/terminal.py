@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from platformdirs import user_log_path
+from rich.color import ColorType
 from rich.segment import Segment
 from rich.style import Style
 from textual.filter import LineFilter
@@ -60,10 +61,21 @@ class NoTerminalError(ValueError):
 
 
 class Styled(LineFilter):
-    """Gives every segment a style: Textual's filter for NO_COLOR takes none without."""
+    """Before Textual's filter for NO_COLOR: every segment has a style, which it needs, and no name of a colour is left.
 
-    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:  # noqa: ARG002
-        return [s if s.style is not None else Segment(s.text, Style.null(), s.control) for s in segments]
+    As greys red and blue would hardly be seen.
+    """
+
+    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
+        clear = Style(color=background.get_contrast_text(1.0).rich_color)
+        return [
+            Segment(s.text, (s.style or Style.null()) + (clear if _is_named(s.style) else Style.null()), s.control)
+            for s in segments
+        ]
+
+
+def _is_named(style: Style | None) -> bool:
+    return style is not None and style.color is not None and style.color.type is ColorType.STANDARD
 
 
 class PlainSigns(LineFilter):

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
 from textual_hires_canvas import Canvas, HiResMode
 from textual_plot import PlotWidget
 
+from ui.console.drawing import nice_step
 from ui.console.panels import ink
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from modalities.gestures import Hand
-    from ui.console.drawing import Drawing
+    from numpy.typing import NDArray
 
+    from modalities.gestures import Hand
+    from ui.console.drawing import Drawing, Stroke, Window
+
+    Floats = NDArray[np.float64]
+
+MOST_SIGNS = 2000
+"""Of one line."""
 INKS = {
     "contour": "rgb(130,110,80)",
     "ground": "rgb(160,120,60)",
@@ -30,6 +39,8 @@ INKS = {
     "operator": "bold",
 }
 """What has no colour of its own name."""
+PLAIN_SIGNS = {"contour": ".", "ground": "=", "agl": "-", "fence": "x", "obstacle": "#", "anchor": "~", "refused": "!"}
+"""What lines are made of where there is ASCII only: with one sign for all a hillside would be a solid block."""
 BONES = (
     (0, 1, 2, 3, 4),
     (0, 5, 6, 7, 8),
@@ -65,13 +76,36 @@ class View(PlotWidget, can_focus=False):
         window = drawing.window
         self.set_xlimits(window.x_min, window.x_max)
         self.set_ylimits(window.y_min, window.y_max)
-        mode = None if plain else HiResMode.BRAILLE
+        self.set_yticks(heights(window.y_min, window.y_max, self.size.height - 3))
         for stroke in drawing.strokes:
             style = INKS.get(stroke.kind) or ink(stroke.name)
-            self.plot(stroke.xs, stroke.ys, line_style=style, hires_mode=mode)
+            if plain:
+                xs, ys = signed(stroke, window, (window.x_max - window.x_min) / max(1, self.size.width))
+                self.scatter(xs, ys, marker=PLAIN_SIGNS.get(stroke.kind, "."), marker_style=style)
+            else:
+                self.plot(stroke.xs, stroke.ys, line_style=style, hires_mode=HiResMode.BRAILLE)
         for mark in drawing.marks:
             style = INKS.get(mark.kind) or f"bold {ink(mark.name)}"
             self.scatter([mark.x], [mark.y], marker=mark.sign, marker_style=style)
+
+
+def heights(low_m: float, high_m: float, rows: int) -> list[float]:
+    """Round numbers for the upright axis, more than a row apart: nearer, one would be written over another."""
+    step_m = nice_step(1.25 * (high_m - low_m) / max(1, rows))
+    return [n * step_m for n in range(math.ceil(low_m / step_m), math.floor(high_m / step_m) + 1)]
+
+
+def signed(stroke: Stroke, window: Window, apart_m: float) -> tuple[Floats, Floats]:
+    """Places in the window along a stroke, no farther apart than apart_m, to put signs at."""
+    known = np.isfinite(stroke.xs) & np.isfinite(stroke.ys)
+    xs, ys = stroke.xs[known], stroke.ys[known]
+    if not xs.size:
+        return xs, ys
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(xs), np.diff(ys)))])
+    at = np.linspace(0.0, along[-1], min(MOST_SIGNS, 2 + math.ceil(along[-1] / apart_m)))
+    xs, ys = np.interp(at, along, xs), np.interp(at, along, ys)
+    seen = (xs >= window.x_min) & (xs <= window.x_max) & (ys >= window.y_min) & (ys <= window.y_max)
+    return xs[seen], ys[seen]
 
 
 class Skeleton(Canvas):
