@@ -1,6 +1,6 @@
 """The fleet: the vehicles this app has links to, and what they tell of each other. Simulated or real makes no difference.
 
-Neighbours are all vehicles but the paired one, from their own telemetry. Source: R5, R11, design 10.
+Neighbours are all vehicles but the paired one, from their own telemetry, and aircraft that their receivers hear (ADS-B). Source: R5, R11, design 10.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from m3r_app.adsb import newest
 from m3r_app.ports import LinkError, require_free
 from m3r_app.scenario import ScenarioError
 from m3r_app.vehicle import Vehicle, VehicleError
@@ -130,7 +131,10 @@ class Fleet:
         await asyncio.gather(*(v.close() for v in everybody))
 
     def neighbours(self, own: str, frame: LocalFrame, now_s: float) -> Neighbours:
-        """Everybody but `own`, in the session's frame. A state that is incomplete is kept as NaN: it refuses, X6."""
+        """Everybody but `own`, in the session's frame. A state that is incomplete is kept as NaN: it refuses, X6.
+
+        Aircraft that only a transponder tells of are among them, but never make the feed look alive.
+        """
         others = {**self.vehicles, **self.others}
         mine = others.pop(own, None)
         told = [(name, v.telemetry()) for name, v in others.items()]
@@ -141,13 +145,19 @@ class Fleet:
             feed_at_s = mine.telemetry().heard_at_s
         else:
             feed_at_s = -math.inf
+        everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())
+        seen = newest([a for v in everybody for a in v.aircraft()])
+        states = [
+            (name, t.geodetic, t.velocity, float(np.maximum(t.sigma_h_m, t.sigma_v_m)), t.at_s) for name, t in told
+        ]
+        states += [(a.name, a.place, a.velocity, a.sigma_m, a.at_s) for a in seen]
         nowhere = (math.nan, math.nan, math.nan)
         return Neighbours(
-            tuple(name for name, _ in told),
-            np.array([frame.ned(t.geodetic) if t.geodetic else nowhere for _, t in told]).reshape(-1, 3),
-            np.array([t.velocity or nowhere for _, t in told]).reshape(-1, 3),
-            np.array([np.maximum(t.sigma_h_m, t.sigma_v_m) for _, t in told], dtype=np.float64),
-            np.array([t.at_s for _, t in told]),
+            tuple(name for name, *_ in states),
+            np.array([frame.ned(place) if place else nowhere for _, place, *_ in states]).reshape(-1, 3),
+            np.array([velocity or nowhere for _, _, velocity, *_ in states]).reshape(-1, 3),
+            np.array([sigma_m for *_, sigma_m, _ in states], dtype=np.float64),
+            np.array([at_s for *_, at_s in states], dtype=np.float64),
             min(feed_at_s, now_s),
         )
 

@@ -14,6 +14,7 @@ from typing import Any
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 
+from m3r_app.adsb import Aircrafts
 from m3r_app.telemetry import Accuracy, Health, Slots
 from safety.frames import wrap_deg
 from safety.vocabulary import Geodetic, Ned
@@ -41,14 +42,17 @@ class Reception:
         clock: Callable[[], float],
         telemetry: Any,
         direct: Any,
+        transponder: Any,
         on_position: Callable[[], None],
         on_status_text: Callable[[str, str], None],
     ) -> None:
-        """telemetry, direct: MAVSDK's plugins. on_position, on_status_text: called on MAVSDK's threads."""
+        """telemetry, direct, transponder: MAVSDK's plugins. on_position, on_status_text: called on MAVSDK's threads."""
         self.slots = Slots()
+        self.aircraft = Aircrafts()
         self._clock = clock
         self._telemetry: TelemetryPlugin = telemetry
         self._direct: MavlinkDirect = direct
+        self._transponder = transponder  # it ends with whoever keeps it
         self._on_position = on_position
         self._on_status_text = on_status_text
         telemetry.subscribe_position(self._position)
@@ -64,6 +68,8 @@ class Reception:
         telemetry.subscribe_status_text(self._status_text)
         direct.subscribe_message("ESTIMATOR_STATUS", self._estimator_status)
         direct.subscribe_message("SYS_STATUS", self._sys_status)
+        direct.subscribe_message("ADSB_VEHICLE", self._adsb_flags)
+        transponder.subscribe_transponder(self._adsb)
 
     def request_rates(self, motion_hz: float) -> None:
         """Ask for position and attitude at motion_hz, the rest slower. Refusals show in the ages, which are judged."""
@@ -139,6 +145,15 @@ class Reception:
         present = _number(_fields(message), "onboard_control_sensors_present")
         if math.isfinite(present):
             self.slots.rc_present.put(bool(int(present) & RC_RECEIVER), self._clock())
+
+    def _adsb_flags(self, message: Any, _: Any) -> None:
+        fields = _fields(message)
+        icao, flags = _number(fields, "ICAO_address"), _number(fields, "flags")
+        if math.isfinite(icao) and math.isfinite(flags):
+            self.aircraft.flags(int(icao), int(flags))
+
+    def _adsb(self, vehicle: Any, _: Any) -> None:
+        self.aircraft.put(vehicle, self._clock())
 
 
 def _fields(message: Any) -> dict[str, Any]:

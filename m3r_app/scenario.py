@@ -142,6 +142,8 @@ class Traffic(_Table):
     waypoints: Annotated[tuple[Waypoint, ...], Field(min_length=2)]
     speed_m_s: Annotated[float, Field(gt=0.0, le=20.0)]
     loop: bool = True
+    adsb: bool = False
+    """It has no link: only its transponder tells of it."""
     start_delay_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.0
 
 

@@ -244,6 +244,8 @@ class Shell:
         match effect:
             case Report():
                 self._emit(effect.event, self._with_places(effect))
+                if effect.event == "pair" and effect.fields.get("status") == "confirmed" and self.vehicle is not None:
+                    self._start(self._sound(self.vehicle))
             case Announce():
                 self._emit("announce", {"text": effect.text})
             case Pair():
@@ -267,6 +269,11 @@ class Shell:
                     self.airspace.free(self.vehicle.colour, effect.request_id)
             case LetGo():
                 self._let_go(effect.command)
+
+    async def _sound(self, vehicle: Vehicle) -> None:
+        """The audible sign of pairing, on the drone itself; that it was given is recorded. Source: paper III-A."""
+        sent = await vehicle.play_tune()
+        self._recording.record("tune", self.clock(), {"vehicle": vehicle.colour, "sent": sent})
 
     def _reserve(self, effect: Reserve) -> None:
         """The answer is an event, whoever gives it and however late. Source: X10."""

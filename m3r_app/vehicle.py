@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import json
 import logging
 import math
 import sys
@@ -24,12 +25,14 @@ from typing import Any, TypeVar
 
 from mavsdk import ComponentType, Configuration, LogLevel, Mavsdk, MavsdkError, log_subscribe
 from mavsdk.plugins.action import Action
-from mavsdk.plugins.mavlink_direct import MavlinkDirect
+from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.mission_raw import MissionRaw
 from mavsdk.plugins.offboard import Offboard, PositionNedYaw
 from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
+from mavsdk.plugins.transponder import Transponder
 
+from m3r_app.adsb import Aircraft
 from m3r_app.parameters import ParameterClient
 from m3r_app.ports import LinkError, check_link
 from m3r_app.reception import Reception
@@ -57,6 +60,10 @@ T = TypeVar("T")
 
 class VehicleError(Exception):
     """What the vehicle or its link would not do: one sentence that names the vehicle and what to do."""
+
+
+TUNE = "MFT160L8CG"
+"""In the notation of PLAY_TUNE's QBasic format."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +95,10 @@ class Vehicle:
         self._wake_pending = False
         self._closed = False
         self.status_texts: deque[StatusText] = deque(maxlen=100)
-        self._reception = Reception(clock, TelemetryPlugin(system), direct, self._wake, self._status_text)
+        self._direct = direct
+        self._reception = Reception(
+            clock, TelemetryPlugin(system), direct, Transponder(system), self._wake, self._status_text
+        )
 
     @classmethod
     async def connect(cls, colour: str, url: str, clock: Callable[[], float], timeout_s: float = 10.0) -> Vehicle:
@@ -148,6 +158,23 @@ class Vehicle:
     def telemetry(self) -> Telemetry:
         """The latest of everything, now. Silence is seen in its ages."""
         return self._reception.slots.snapshot(self._clock())
+
+    def aircraft(self) -> tuple[Aircraft, ...]:
+        """The aircraft with a transponder that this one hears of."""
+        return self._reception.aircraft.now(self._clock())
+
+    async def play_tune(self) -> bool:
+        """Two rising notes (PLAY_TUNE): this is the drone that was paired. Whether it could be sent; nobody answers it.
+
+        MAVSDK's own tune plugin cannot hand a list of notes to its library, so the message is sent as it is.
+        """
+        fields = json.dumps({"target_system": 0, "target_component": 0, "tune": TUNE, "tune2": ""})
+        message = MavlinkMessage("PLAY_TUNE", 0, 0, 0, 0, fields)
+        try:
+            result = await self._loop.run_in_executor(self._executor, self._direct.send_message, message)
+        except (MavsdkError, RuntimeError):
+            return False
+        return bool(result is None or getattr(result, "name", "SUCCESS") == "SUCCESS")
 
     def here(self) -> tuple[Ned, float] | None:
         """Own local position and yaw (deg) now; None if they are unknown or stale."""

@@ -275,7 +275,7 @@ class SharedAirspace:
         feed_at_s = self._back_at_s.get(own, -math.inf)
         seen = {drone: _seen(telemetry(), now_s) for drone, telemetry in self._linked.items()}
         heard = self._sky.neighbours(self._frame, self.teller.near, seen, feed_at_s, now_s)
-        nobody_linked = not len(linked) and linked.feed_at_s == -math.inf
+        nobody_linked = self._linked.keys() <= {own} and linked.feed_at_s == -math.inf
         return Neighbours(
             linked.names + heard.names,
             np.concatenate((linked.positions_ned_m, heard.positions_ned_m)),

@@ -19,6 +19,7 @@ from m3r_app.scenario import Scenario, Traffic, VehicleStart, Waypoint
 from m3r_app.sim.autopilot import TICK_S, Autopilot, FlightMode
 from m3r_app.sim.dynamics import Multirotor, PositionError, Wind
 from m3r_app.sim.link import VehicleLink
+from m3r_app.sim.messages import adsb_vehicle
 from m3r_app.sim.parameters import Parameters
 from m3r_app.world import load_terrain
 from safety.frames import LocalFrame
@@ -27,6 +28,9 @@ from safety.vocabulary import Ned
 HOST = "127.0.0.1"
 FIRST_TRAFFIC_ID = 101
 """MAVLink system id of the first traffic drone; the fleet's own count from 1."""
+FIRST_ICAO = 0x3C0001
+SQUITTER_S = 1.0
+"""How often a transponder is heard."""
 SETTLE_S = 10.0
 """Flown before anybody watches, so that hovering drones have found the wind."""
 LATE_S = 0.2
@@ -58,13 +62,21 @@ class Fleet:
         self.vehicles: dict[str, str] = {}
         """Where to listen for each, as MAVSDK wants it: udpin://127.0.0.1:port"""
         self.traffic: dict[str, str] = {}
+        self._transponders: dict[str, int] = {}
+        """ICAO address of each aircraft that only its transponder tells of."""
+        self._squitter_s = 0.0
         for i, (name, start) in enumerate(scenario.vehicles.items()):
             pilot = self._vehicle(scenario, name, start)
             self.vehicles[name] = self._add(scenario, name, pilot, 1 + i, first_port + i)
         for i, (name, traffic) in enumerate(scenario.traffic.items()):
             pilot = self._traffic(scenario, name, traffic)
             port = first_port + len(scenario.vehicles) + i
-            self.traffic[name] = self._add(scenario, name, pilot, FIRST_TRAFFIC_ID + i, port)
+            url = self._add(scenario, name, pilot, FIRST_TRAFFIC_ID + i, port)
+            if traffic.adsb:
+                self._transponders[name] = FIRST_ICAO + i
+                pilot.link_silent = True
+            else:
+                self.traffic[name] = url
             self._start_s[name] = SETTLE_S + traffic.start_delay_s
         for _ in range(round(SETTLE_S / TICK_S)):
             self.step()
@@ -145,8 +157,21 @@ class Fleet:
         self.step()
         for link in self.links.values():
             link.tick()
+        self._squitter()
         if self._truth is not None:
             self._record(self._truth)
+
+    def _squitter(self) -> None:
+        """Every transponder is heard by every drone with a link."""
+        for name, icao in self._transponders.items():
+            pilot = self.links[name].autopilot
+            if pilot.now_s < self._squitter_s:
+                return
+            message = adsb_vehicle(icao, name, self.frame.geodetic(pilot.position), pilot.velocity)
+            for other in (*self.vehicles, *self.traffic):
+                self.links[other].tell(message)
+        if self._transponders:
+            self._squitter_s += SQUITTER_S
 
     def _record(self, truth: IO[str]) -> None:
         at_s = round(time.monotonic(), 4)
@@ -163,6 +188,7 @@ class Fleet:
                 "estimate_ned_m": [round(x, 4) for x in pilot.position],
                 "mode": pilot.mode.name,
                 "armed": pilot.armed,
+                "tunes": link.tunes,
             }
             truth.write(json.dumps(line) + "\n")
 

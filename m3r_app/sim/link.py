@@ -65,6 +65,8 @@ class VehicleLink:
         self._long_texts = 0
         self._to_list: list[tuple[str, Address]] = []
         self._mode_sent: tuple[FlightMode, bool] | None = None
+        self.tunes = 0
+        """How many it was asked to play."""
 
     def close(self) -> None:
         self.socket.close()
@@ -92,6 +94,11 @@ class VehicleLink:
         for name, address in self._to_list[:_PARAMETERS_PER_TICK]:
             self._send_parameter(name, address)
         del self._to_list[:_PARAMETERS_PER_TICK]
+
+    def tell(self, message: Message) -> None:
+        """Pass on what its receivers hear."""
+        if not self.autopilot.link_silent:
+            self._send(message)
 
     def _send(self, message: Message, address: Address | None = None) -> None:
         try:
@@ -173,6 +180,8 @@ class VehicleLink:
                     message.get_srcSystem(), message.get_srcComponent(), unsupported
                 )
                 self._send(answer, address)
+            case "PLAY_TUNE" if self._obeys and message.tune.startswith("M"):
+                self.tunes += 1
             case "TIMESYNC" if message.tc1 == 0:
                 self._send(mavlink.MAVLink_timesync_message(self.telemetry.boot_us * 1000, message.ts1), address)
 

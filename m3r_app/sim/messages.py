@@ -245,3 +245,15 @@ _BUILDERS: dict[int, Callable[[Telemetry], Message | None]] = {
 
 KINDS = frozenset(_BUILDERS)
 """Message ids that it can send."""
+
+
+def adsb_vehicle(icao: int, callsign: str, place: Geodetic, velocity: Ned) -> Message:
+    """ADSB_VEHICLE of an aircraft that says everything."""
+    lat, lon, amsl_mm = _scaled(place)
+    heading_deg = math.degrees(math.atan2(velocity.east, velocity.north)) % 360.0
+    flags = 1 | 2 | 4 | 8 | 16 | 128  # coordinates, altitude, heading, velocity, callsign, vertical velocity are valid
+    return mavlink.MAVLink_adsb_vehicle_message(
+        icao, lat, lon, mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC, amsl_mm, round(heading_deg * 100.0) % 36_000,
+        round(velocity.horizontal * 100.0), round(-velocity.down * 100.0), callsign.upper()[:8].encode(),
+        mavlink.ADSB_EMITTER_TYPE_UAV, 0, flags, 7000,
+    )  # fmt: skip

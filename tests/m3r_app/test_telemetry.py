@@ -40,7 +40,12 @@ class Heard:
         self.texts: list[tuple[str, str]] = []
         self._plugins = Plugins()
         self.reception = Reception(
-            lambda: self.now_s, self._plugins, self._plugins, self._position, lambda *text: self.texts.append(text)
+            lambda: self.now_s,
+            self._plugins,
+            self._plugins,
+            self._plugins,
+            self._position,
+            lambda *text: self.texts.append(text),
         )
 
     def _position(self) -> None:
