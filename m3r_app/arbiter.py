@@ -73,7 +73,8 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             tick(run)
         case Ended() if state.authority:
             run.do(Hold("ended"))
-            sessions.leave(run, Cause.RELEASED, "hold", f"{event.reason}, it holds where it is")
+            where = "it holds where it is" if run.hears else "it is not heard, so its own failsafe has it"
+            sessions.leave(run, Cause.RELEASED, "hold", f"{event.reason}, {where}")
         case Ended():
             sessions.call_off_pairing(run, event.reason)
     return run.state, tuple(run.effects)

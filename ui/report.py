@@ -45,6 +45,8 @@ class ReportError(ValueError):
 
 def write_report(record: Path, out: Path | None = None) -> tuple[Path, str | None]:
     """Write the page; returns where, and what is to be said of the record (that it breaks off). Raises RecordError, ReportError."""
+    if record.exists() and not record.is_file():
+        raise RecordError(f"{record} is no file: name a flight record")
     header = read_header(record)
     page = out or record.with_suffix(".html")
     _refuse_to_overwrite(page)

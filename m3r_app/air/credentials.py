@@ -74,7 +74,14 @@ def parse_broker(text: str) -> Broker:
     except ValueError:
         host, port = None, None
         parts = urlsplit("")
-    if parts.scheme not in PORTS or not host or parts.path not in ("", "/") or parts.query or parts.fragment:
+    if (
+        parts.scheme not in PORTS
+        or not host
+        or not re.fullmatch(r"[A-Za-z0-9._:-]+", host)
+        or parts.path not in ("", "/")
+        or parts.query
+        or parts.fragment
+    ):
         raise AirError(f"{text!r} is no broker's address: {shape}")
     if parts.username or parts.password:
         raise AirError(
