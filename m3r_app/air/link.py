@@ -89,6 +89,10 @@ class Link:
         self._proved = False
         """Whether this connection has worked: then the next one is tried soon again."""
         self._told: str | None = None
+        self.overflowed = 0
+        """Messages that came faster than they could be read, and were dropped."""
+        self._log = logging.Logger("m3r.mqtt", logging.WARNING)  # noqa: LOG001  (of its own: nothing reaches the screen)
+        self._log.addHandler(_Overflow(self._overflow))
 
     @property
     def up(self) -> bool:
@@ -152,6 +156,8 @@ class Link:
                 self._down(str(error))
             except aiomqtt.MqttError as error:
                 self._down(self._in_words(error))
+            except Exception as error:  # noqa: BLE001  (whatever breaks a connection, the next one is made)
+                self._down(f"the connection to {self.broker} broke ({type(error).__name__}: {error})")
             if self._proved:
                 wait_s = BACKOFF_S[0]
             await asyncio.sleep(random.uniform(0.5, 1.0) * wait_s)
@@ -174,7 +180,7 @@ class Link:
             max_queued_incoming_messages=INBOX,
             max_queued_outgoing_messages=OUTBOX,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-            logger=_quiet(),
+            logger=self._log,
         )
         try:
             async with client:
@@ -206,6 +212,10 @@ class Link:
         if self._told is not None:
             self._told = None
             self._say(f"connected to {self.broker} again")
+
+    def _overflow(self) -> None:
+        self.overflowed += 1
+        self._tell(f"more messages come from {self.broker} than can be read, and some are dropped")
 
     def _tell(self, why: str) -> None:
         if why != self._told:
@@ -299,9 +309,13 @@ async def _first_to_end(*work: Coroutine[Any, Any, None]) -> None:
             _, running = await asyncio.wait(running, timeout=0.1)
 
 
-def _quiet() -> logging.Logger:
-    """What a person must know is said by us."""
-    logger = logging.getLogger("m3r.mqtt")
-    logger.setLevel(logging.CRITICAL + 1)
-    logger.propagate = False
-    return logger
+class _Overflow(logging.Handler):
+    """What a person must know of the client's own log: that messages came faster than they could be read."""
+
+    def __init__(self, told: Callable[[], None]) -> None:
+        super().__init__()
+        self._told = told
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if "queue is full" in record.getMessage():
+            self._told()

@@ -79,6 +79,8 @@ class SharedAirspace:
         self._held_at_s = -math.inf
         self._epochs: dict[str, float] = {}
         self._fence = 0
+        self._claim_fences: dict[str, int] = {}
+        """Of each drone's last claim: had again before it ran out, it is the same."""
         self._back_at_s: dict[str, float] = {}
         self._wanted: frozenset[tuple[str, str]] = frozenset()
         self._authority_heard = True
@@ -172,9 +174,10 @@ class SharedAirspace:
             return f"the airspace authority of {self._credentials.area} did not answer: ask again"
         if not answer.granted:
             return answer.reason
-        if answer.fence < self._fence:
+        if answer.fence < self._fence and answer.fence != self._claim_fences.get(drone):
             return "the airspace authority has forgotten what it granted before: ask who runs it"
-        self._fence = answer.fence
+        self._fence = max(self._fence, answer.fence)
+        self._claim_fences[drone] = answer.fence
         self._claims[drone] = _Claimed(operator, answer.fence, sent_s + OURS_S)
         return None
 

@@ -39,6 +39,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundSer
     server.stop()
 
 
+@pytest.mark.soak
 def test_a_microphone_unplugged_in_mid_flight(server: SoundServer) -> None:
     def say(name: str) -> None:
         server.play(np.concatenate([quiet(0.5), read_audio(RECORDINGS / name), quiet(1.0)]))

@@ -101,6 +101,7 @@ def test_a_flight_by_keys_and_a_terminal_that_is_lost(tmp_path: Path) -> None:
         assert screen.wait() == 130
 
 
+@pytest.mark.soak
 def test_a_terminal_that_takes_nothing_any_more_does_not_keep_the_process(tmp_path: Path) -> None:
     """The screen is full of what nobody reads when the hang-up comes: the thread that draws is stuck for ever."""
     screen = Terminal("console", "--scenario", str(HILLSIDE))

@@ -106,6 +106,7 @@ def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
         assert ran.status == 0 and ran.of("end")[0]["violations"] == 0
 
 
+@pytest.mark.soak
 def test_a_beacon_tells_of_a_drone_that_nobody_flies(air: Broker, tmp_path: Path) -> None:
     script = written(tmp_path / "script", "0.5 panel go left\n")
     with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
@@ -117,7 +118,9 @@ def test_a_beacon_tells_of_a_drone_that_nobody_flies(air: Broker, tmp_path: Path
         assert found["text"].startswith("yellow: ")
 
 
-@pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+@pytest.mark.parametrize(
+    ("how", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 0, marks=pytest.mark.soak)]
+)
 def test_services_end_as_they_are_told(air: Broker, tmp_path: Path, how: signal.Signals, status: int) -> None:
     with authority(air, tmp_path) as process:
         process.send_signal(how)

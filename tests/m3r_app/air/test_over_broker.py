@@ -15,6 +15,7 @@ import aiomqtt
 import numpy as np
 import pytest
 
+from m3r_app.air import link
 from m3r_app.air.authority import CLAIM_S
 from m3r_app.air.credentials import AirError, load_credentials, parse_broker, tls_context
 from m3r_app.air.service import AirspaceService
@@ -272,9 +273,7 @@ async def test_who_may_not_publish_notices_it_within_two_seconds(air: Broker, tm
             assert not alice.sees("red", "yellow")
 
 
-@pytest.mark.parametrize(
-    ("ahead_s", "sees"), [(0.04, True), (-0.04, True), (3.0, True), (-3.0, True), (60.0, False), (-60.0, False)]
-)
+@pytest.mark.parametrize(("ahead_s", "sees"), [(3.0, True), (-3.0, True), (60.0, False)])
 async def test_clocks_that_differ(air: Broker, tmp_path: Path, ahead_s: float, sees: bool) -> None:
     """Up to 5 s a state is taken and never thought fresher than it is; beyond, the drone is nowhere, which refuses."""
     async with authority(air, tmp_path / "memory"), app(air, "alice", red=RED) as alice:
@@ -365,6 +364,20 @@ async def test_a_broker_that_takes_nothing_is_said_and_nothing_piles_up(air: Bro
             alice.link.post("m3r/1/state/881f8edb2bfffff/red", b"x" * 100)
         assert alice.link.dropped > 900
         assert any("takes messages too slowly" in said for said in alice.told)
+
+
+async def test_more_than_can_be_read_is_dropped_and_said(
+    air: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "INBOX", 1)
+    async with authority(air, tmp_path / "memory"), app(air, "alice", red=RED) as alice:
+        await until(lambda: alice.feed_age_s("red") < 0.5)
+        async with await intruder(air) as client:
+            for _ in range(300):
+                await client.publish(str(StateTopic(cell_of(HERE), "blue")), b"x" * 100)
+            await until(lambda: alice.link.overflowed > 0)
+        assert any("than can be read, and some are dropped" in said for said in alice.told)
+        await until(lambda: alice.feed_age_s("red") < 0.5)
 
 
 # ---------------------------------------------------------------- races from two processes
