@@ -21,7 +21,7 @@ from m3r_app.ports import check_link
 
 Say = Callable[[str], None]
 ENDED, INTERRUPTED = 0, 130
-HEARD_S = 30.0
+HEARD_S = 10.0
 
 
 def be_authority(broker_url: str, credentials: Path, memory: Path | None, say: Say) -> int:
@@ -46,6 +46,7 @@ def be_beacon(vehicles: Mapping[str, str], broker_url: str, credentials: Path, s
     async def tell() -> None:
         beacon = Beacon(broker, who, say)
         beacon.check(vehicles)
+        say(f"waiting for {', '.join(vehicles)}")
         fleet = await Fleet.connect(Links(dict(vehicles), {}, complete=False), time.monotonic, HEARD_S)
         try:
             for name, vehicle in fleet.vehicles.items():

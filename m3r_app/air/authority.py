@@ -151,12 +151,14 @@ def resumed(a: Authority, away_s: float) -> Authority:
 
     So whoever held a drone before may have it again before anybody else can.
     """
+
+    def later(volume: ReservedVolume) -> ReservedVolume:
+        return replace(volume, from_s=volume.from_s + away_s, until_s=volume.until_s + away_s)
+
     return replace(
         a,
         claims={d: replace(c, until_s=c.until_s + away_s) for d, c in a.claims.items()},
-        volumes={
-            k: replace(v, volume=replace(v.volume, until_s=v.volume.until_s + away_s)) for k, v in a.volumes.items()
-        },
+        volumes={k: replace(v, volume=later(v.volume)) for k, v in a.volumes.items()},
     )
 
 

@@ -51,6 +51,8 @@ class Beacon:
                 self._exchange.listen(f"{ROOT}/state/{cell}/+" for cell in self.teller.near)
                 await asyncio.sleep(0.1)
                 now_s = self._clock()
+                if not self.teller.tells:
+                    self._exchange.link.echoed()  # nothing was sent that could come back
                 for drone in self._flies:
                     told = self._back_at_s.get(drone)
                     if told is not None and now_s - told > QUIET_S and drone not in said:

@@ -93,12 +93,14 @@ class AirspaceService:
     async def _heartbeat(self, ready: Callable[[], None]) -> None:
         said = False
         while True:
-            if self._exchange.link.up and not self._listening:
+            if self._listening:
+                self._exchange.link.echoed()  # nothing was sent that could come back
+            elif self._exchange.link.up:
                 self._tell()
             if not said and self._exchange.link.up and not self._listening:
                 said = True
                 ready()
-            await asyncio.sleep(HEARTBEAT_S)
+            await asyncio.sleep(0.1 if self._listening else HEARTBEAT_S)
 
     def _tell(self) -> None:
         """All that is held, to everybody."""

@@ -143,6 +143,8 @@ class SharedAirspace:
             self._pending = {k: p for k, p in self._pending.items() if p.late_at_s > now_s}
             self._listen()
             self._tell_dropped()
+            if not self.teller.tells:
+                self._exchange.link.echoed()  # nothing was sent that could come back
             for drone, claimed in self._claims.items():
                 if claimed.refused is None:
                     self._renew(drone, claimed)
@@ -323,8 +325,6 @@ class SharedAirspace:
 
     def _hold(self, held: Held, now_s: float) -> None:
         self._held, self._held_at_s = held, now_s
-        if not self.teller.tells:
-            self._exchange.link.echoed()  # with no drone to tell of, the authority is what shows that the broker works
         self._epochs = {e: t for e, t in self._epochs.items() if now_s - t <= AUTHORITY_AGE_S} | {held.epoch: now_s}
         me = self._credentials.name
         wanted = frozenset(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -104,6 +105,25 @@ def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
         assert verdicts["script-4"] == "rejected", "not ours any more"
         assert fleet.wait("red", mode="LOITER")
         assert ran.status == 0 and ran.of("end")[0]["violations"] == 0
+
+
+@pytest.mark.soak
+def test_fifty_broker_restarts_in_flight(air: Broker, tmp_path: Path) -> None:
+    """Moves are flown, aborted or blocked as it happens; the session and the drone stay in the same hands throughout."""
+    moves = "".join(f"{1 + 3 * n} panel go {'left' if n % 2 else 'right'}\n" for n in range(40))
+    with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
+        alice = App(flight(air, fleet, "alice", "red", written(tmp_path / "script", moves)))
+        alice.until("pair", status="confirmed")
+        for n in range(50):
+            time.sleep(1.5)  # that long the air is whole
+            air.stop(hard=n % 2 == 0)
+            air.start()
+        ran = alice.finish()
+    assert ran.status == 0 and ran.of("end")[0]["violations"] == 0
+    (released,) = ran.of("pair", status="released")
+    assert "the run is over" in released["reasons"][0]
+    assert len(ran.verdicts()) == 40
+    assert ran.of("end")[0]["completed"] >= 5
 
 
 @pytest.mark.soak

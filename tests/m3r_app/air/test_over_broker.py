@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import random
 import subprocess
 import sys
 import time
@@ -18,10 +19,10 @@ import pytest
 from m3r_app.air import link
 from m3r_app.air.authority import CLAIM_S
 from m3r_app.air.credentials import AirError, load_credentials, parse_broker, tls_context
-from m3r_app.air.service import AirspaceService
+from m3r_app.air.service import LISTEN_S, AirspaceService
 from m3r_app.air.shared import OURS_S
 from m3r_app.air.store import Store
-from m3r_app.air.topics import StateTopic, cell_of
+from m3r_app.air.topics import AskTopic, HeldTopic, StateTopic, cell_of
 from safety.vocabulary import Ned, ReservedVolume
 from tests.air import HERE, ROOT, App, Broker, Proxy, app, authority, broker, until
 
@@ -193,6 +194,19 @@ async def _granted(one: App, drone: str) -> bool:
     return True
 
 
+async def test_an_authority_starts_in_its_listening_time_and_says_nothing_else(air: Broker, tmp_path: Path) -> None:
+    """It has nothing to hear of itself before it speaks, and takes no silence for a dead network."""
+    said: list[str] = []
+    ready = asyncio.Event()
+    secret = load_credentials(air.credentials("airspace.field"), "airspace")
+    service = AirspaceService(parse_broker(air.url), secret, Store(tmp_path / "memory", "field"), said.append)
+    task = asyncio.create_task(service.run(ready.set))
+    await asyncio.wait_for(ready.wait(), LISTEN_S + 1.0)
+    assert said == []
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
 async def test_without_an_authority_nothing_is_granted_and_claims_end(air: Broker, tmp_path: Path) -> None:
     async with app(air, "alice", red=RED) as alice:
         async with authority(air, tmp_path / "memory"):
@@ -257,6 +271,45 @@ async def test_forged_replayed_and_torn_messages_are_dropped_and_counted(air: Br
         assert alice.neighbours("red").names == ("blue",)
         assert alice.neighbours("red").positions_ned_m[0] == pytest.approx(BLUE, abs=1e-3)
         assert bob.sees("blue", "red")
+
+
+@pytest.mark.parametrize("count", [100_000 if SOAK else 2_000])
+async def test_noise_on_every_topic_harms_nobody(air: Broker, tmp_path: Path, count: int) -> None:
+    """2,000 payloads through the broker here, 100,000 with M3R_SOAK=1: none is taken, nothing grows, everybody goes on."""
+    seed = random.Random(7)
+    async with (
+        authority(air, tmp_path / "memory"),
+        app(air, "alice", red=RED) as alice,
+        app(air, "bob", blue=BLUE) as bob,
+    ):
+        assert await alice.claim("red") is None
+        await until(lambda: alice.sees("red", "blue"))
+        inbox = alice.shared._inbox
+        topics = {
+            "operator.bob": [StateTopic(cell_of(HERE), "green"), AskTopic("field", "green", "bob")],
+            "airspace.field": [inbox, HeldTopic("field")],
+        }
+        before = (tmp_path / "memory").read_bytes()
+        sent = 0
+        async with await intruder(air) as insider, await intruder(air, "airspace.field") as forger:
+            while sent < count:
+                for client, user in ((insider, "operator.bob"), (forger, "airspace.field")):
+                    for topic in topics[user]:
+                        noise = seed.randbytes(seed.randrange(300))
+                        if sent % 3 == 0:
+                            noise = b"M3R1 drone.green " + b"0" * 16 + b" 1 1 " + b"0" * 64 + b"\n" + noise
+                        elif sent % 3 == 1:
+                            noise = json.dumps({"place": None, "more": noise.hex()}).encode()
+                        await client.publish(str(topic), noise, qos=0)
+                        sent += 1
+                if sent % 100 == 0:
+                    await asyncio.sleep(0.01)
+            last = alice.shared.dropped
+            await until(lambda: sum(last.values()) + alice.link.overflowed >= 0.7 * count, 60.0)
+        assert alice.neighbours("red").names == ("blue",) and bob.sees("blue", "red")
+        assert alice.shared.lost("red") is None and (tmp_path / "memory").read_bytes() == before
+        assert len(alice.shared._exchange.verifier._last) <= 8 and len(alice.shared._pending) <= 8
+        assert await bob.claim("green") is None, "the authority still grants"
 
 
 async def test_who_may_not_publish_notices_it_within_two_seconds(air: Broker, tmp_path: Path) -> None:

@@ -57,6 +57,18 @@ def test_renewals_are_not_written(tmp_path: Path) -> None:
     assert (tmp_path / "memory").stat().st_mtime_ns == before
 
 
+def test_what_was_prolonged_while_the_authority_was_away_is_kept_too(tmp_path: Path) -> None:
+    """A volume of 60 s that was prolonged by a long absence still is one of 60 s."""
+    a, _ = authority.claim(Authority(), "red", "alice", INBOX, None, 0.0)
+    long = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 60.0)
+    a, _ = authority.reserve(a, "red", INBOX, 1, "x", long, 0.0)
+    store = Store(tmp_path / "memory", "field")
+    store.save(authority.resumed(a, 1000.0), EARTH)
+    store.close()
+    (volume,) = Store(tmp_path / "memory", "field").load(EARTH, 5.0).volumes.values()
+    assert volume.volume.until_s == pytest.approx(65.0)
+
+
 def test_what_is_wrong_with_a_memory_is_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / "memory"
     store = Store(path, "field")
