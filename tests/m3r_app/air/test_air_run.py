@@ -115,7 +115,7 @@ def test_fifty_broker_restarts_in_flight(air: Broker, tmp_path: Path) -> None:
         alice = App(flight(air, fleet, "alice", "red", written(tmp_path / "script", moves)))
         alice.until("pair", status="confirmed")
         for n in range(50):
-            time.sleep(1.5)  # that long the air is whole
+            time.sleep(1.5 if n % 5 else 6.0)  # that long the air is whole
             air.stop(hard=n % 2 == 0)
             air.start()
         ran = alice.finish()
@@ -123,7 +123,7 @@ def test_fifty_broker_restarts_in_flight(air: Broker, tmp_path: Path) -> None:
     (released,) = ran.of("pair", status="released")
     assert "the run is over" in released["reasons"][0]
     assert len(ran.verdicts()) == 40
-    assert ran.of("end")[0]["completed"] >= 5
+    assert ran.of("end")[0]["completed"] >= 3
 
 
 @pytest.mark.soak
