@@ -68,9 +68,9 @@ class Sky:
         if last is None:
             self._tracks[drone] = self._doubted(drone, new, _too_fast(new), now_s)
             return
-        if same and new.at_s < last.at_s:
-            return  # overtaken on the way, on another topic
         doubt = _too_fast(new) or _jump(last, new)
+        if new.at_s < last.at_s and (same or doubt is None):
+            return  # overtaken on the way: on another topic, or by somebody else who tells of it
         self._tracks[drone] = self._doubted(drone, replace(new, doubted_until_s=last.doubted_until_s), doubt, now_s)
 
     def doubt(self, drone: str, why: str, now_s: float) -> None:

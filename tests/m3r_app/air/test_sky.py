@@ -103,6 +103,14 @@ def test_one_drone_told_of_by_two_is_one_drone() -> None:
     assert sky.seen(102.0).names == ("blue",) and not sky.nowhere(102.0) and sky.said == []
 
 
+def test_of_two_who_tell_of_one_drone_the_fresher_counts() -> None:
+    sky = Watched()
+    for tenth in range(20):
+        sky.heard(100.0 + 0.1 * tenth, state(Ned(10, 0, -10)), life="a")
+        sky.heard(100.0 + 0.1 * tenth + 0.01, state(Ned(10.5, 0, -10), age_s=1.5), life="b")
+    assert 101.95 - sky.seen(101.95).at_s[0] < 0.2 and sky.said == []
+
+
 def test_who_flies_away_is_forgotten_and_who_falls_silent_is_not() -> None:
     sky = Watched()
     sky.heard(100.0, state(), "blue")
