@@ -9,7 +9,9 @@ import asyncio
 import contextlib
 import json
 import math
+import os
 import resource
+import shutil
 import socket
 import subprocess
 import sys
@@ -33,6 +35,7 @@ from m3r_app.air.topics import StateTopic, cell_of, cells_near  # noqa: E402
 from safety.frames import LocalFrame  # noqa: E402
 from safety.vocabulary import Geodetic, Ned, Neighbours  # noqa: E402
 
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 HERE = Geodetic(46.679, 7.863, 580.0)
 FRAME = LocalFrame(HERE)
 NOBODY = Neighbours.none(-math.inf)
@@ -56,9 +59,7 @@ def broker() -> Iterator[tuple[str, Path]]:
         drones = ",".join(f"d{i}" for i in range(max(FLEETS)))
         command = [sys.executable, str(ROOT / "scripts/make_airspace.py"), str(folder), "--port", str(port)]
         subprocess.run([*command, "--operator", f"load={drones}", "--operator", "alice=red"], check=True)
-        process = subprocess.Popen(
-            ["mosquitto", "-c", str(folder / "broker/mosquitto.conf")], stderr=subprocess.DEVNULL
-        )
+        process = subprocess.Popen([MOSQUITTO, "-c", str(folder / "broker/mosquitto.conf")], stderr=subprocess.DEVNULL)
         try:
             until_s = time.monotonic() + 10.0
             while time.monotonic() < until_s:
@@ -267,6 +268,9 @@ def percentile(values: list[float], share: float) -> float:
 
 async def main() -> None:
     console = Console()
+    if MOSQUITTO is None:
+        console.print("not measured: mosquitto is not installed (apt: mosquitto)")
+        return
     with broker() as (url, folder):
         costs = {count: await cost(url, folder, count) for count in FLEETS}
         ours = await latency(url, folder)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -12,6 +14,8 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import pytest
 
 from m3r_app.air.credentials import load_credentials, parse_broker
 from m3r_app.air.service import AirspaceService
@@ -25,6 +29,8 @@ ROOT = Path(__file__).resolve().parent.parent
 HERE = Geodetic(46.679, 7.863, 580.0)
 FRAME = LocalFrame(HERE)
 PATIENCE_S = 15.0
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+LACKING = "mosquitto is not installed (apt: mosquitto)"
 NOBODY = Neighbours.none(-float("inf"))
 
 
@@ -55,7 +61,7 @@ class Broker:
 
     def start(self) -> None:
         self.process = subprocess.Popen(
-            ["mosquitto", "-c", str(self.folder / "broker/mosquitto.conf")],
+            [str(MOSQUITTO), "-c", str(self.folder / "broker/mosquitto.conf")],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -75,6 +81,8 @@ class Broker:
 @contextmanager
 def broker(tmp_path: Path, *, tls: bool = True) -> Iterator[Broker]:
     """Made by the shipped script, run with the shipped configuration."""
+    if MOSQUITTO is None:
+        pytest.skip(LACKING)
     port, folder = free_port(), tmp_path / "air"
     command = [sys.executable, str(ROOT / "scripts/make_airspace.py"), str(folder), "--port", str(port)]
     command += ["--operator", "alice=red,green,blue", "--operator", "bob=red,green,blue", "--drone", "yellow"]

@@ -17,7 +17,7 @@ from m3r_app.air.credentials import AirError, Broker, load_credentials, parse_br
 from m3r_app.air.service import EARTH
 from m3r_app.air.store import Store
 from safety.vocabulary import Ned, ReservedVolume
-from tests.air import ROOT
+from tests.air import LACKING, MOSQUITTO, ROOT
 
 VOLUME = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 4.0)
 INBOX, OTHER = "a" * 16, "b" * 16
@@ -101,6 +101,8 @@ def test_a_grant_that_cannot_be_kept_is_none(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def air(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if MOSQUITTO is None:
+        pytest.skip(LACKING)
     folder = tmp_path_factory.mktemp("made") / "air"
     done = make(folder, "--operator", "alice=red,green", "--drone", "yellow")
     assert done.returncode == 0, done.stderr
@@ -178,6 +180,7 @@ def test_anything_else_is_told(text: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.skipif(MOSQUITTO is None, reason=LACKING)
 @pytest.mark.parametrize(("words", "told"), [
     (["--operator", "alice"], "is not NAME=DRONE"), (["--operator", "Alice=red"], "small letters"),
     (["--operator", "alice=red,"], "small letters"), (["--operator", "a=red", "--operator", "a=blue"], "twice"),
