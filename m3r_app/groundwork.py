@@ -48,15 +48,26 @@ class GroundWork:
         else:
             self._say(f"{name}: {what}")
             self._vehicle = vehicle
-            self._task = asyncio.create_task(self._carry_out(name, what, work(vehicle)))
+            self._task = asyncio.create_task(self._carry_out(vehicle, what, work))
 
-    async def _carry_out(self, name: str, what: str, work: Coroutine[Any, Any, None]) -> None:
+    async def _carry_out(
+        self, vehicle: Vehicle, what: str, work: Callable[[Vehicle], Coroutine[Any, Any, None]]
+    ) -> None:
+        """In shared air only with a drone that nobody else holds. Source: P1."""
+        name, airspace = vehicle.colour.capitalize(), self._shell.airspace
+        held = await airspace.claim(vehicle.colour, self._shell.frame.origin)
+        if held is not None:
+            self._say(f"{name}: not {what}, {held}")
+            return
         try:
-            await work
+            await work(vehicle)
         except VehicleError as error:
             self._say(str(error))
         else:
             self._say(f"{name}: done {what}")
+        finally:
+            if self._shell.state.state is State.IDLE:  # else it has been paired meanwhile
+                airspace.give_up(vehicle.colour)
 
     async def _hold(self, vehicle: Vehicle) -> None:
         name = vehicle.colour.capitalize()
