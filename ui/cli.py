@@ -1,4 +1,4 @@
-"""The command line: `m3r run | sim | check | models | evaluate | modes`. Composes; decides nothing.
+"""The command line, from `m3r` alone (the console) to `m3r modes`. Composes; decides nothing.
 
 Exit status: 0 ended normally, 1 a fault of ours, 2 bad input, 3 no vehicle or lost, 4 a violation, 130 interrupted.
 Whatever goes wrong is one sentence on standard error; `M3R_DEBUG=1` shows tracebacks.

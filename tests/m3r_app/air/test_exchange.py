@@ -8,6 +8,8 @@ import random
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from m3r_app.air.credentials import Broker, Credentials
 from m3r_app.air.exchange import Exchange, Received
@@ -98,6 +100,24 @@ async def test_whatever_arrives_nothing_of_it_is_taken() -> None:
     assert {drone for drone, _ in office.doubted} == {"blue"}, (
         "what blue itself sends and nobody can read makes it nowhere"
     )
+
+
+words = st.text(max_size=12) | st.sampled_from(
+    [*STATE, *STATE["place"], "id", "inbox", "ask", "kind", "fence", "epoch", "claims"]
+)
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | words,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(words, inner, max_size=6),
+    max_leaves=20,
+)
+
+
+@given(st.sampled_from(range(len(TOPICS))), json_values)
+async def test_no_authentic_nonsense_is_taken(at: int, value: Any) -> None:
+    """Even who has the keys cannot say anything but what the messages are."""
+    office, topic = Office(), str(TOPICS[at])
+    office.arrive(topic, Signer(SIGNERS[at], bytes.fromhex(KEY)).seal(topic, json.dumps(value).encode()))
+    assert office.taken == [] and office.exchange.dropped == {"malformed": 1}
 
 
 async def test_what_was_kept_or_is_too_long_is_dropped() -> None:

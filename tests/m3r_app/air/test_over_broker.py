@@ -133,7 +133,7 @@ async def _settled(claim, drone: str) -> str | None:
 
 
 async def test_a_partition_is_noticed_and_never_makes_two_holders(air: Broker, tmp_path: Path) -> None:
-    """Ours ends before anybody else can have it, though nobody closes a connection. Source: X10, issue of loss."""
+    """Ours ends before anybody else can have it, though nobody closes a connection. Source: X10."""
     async with (
         authority(air, tmp_path / "memory"),
         Proxy(air.port) as network,
