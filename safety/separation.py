@@ -70,7 +70,11 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 
 def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:
-    """No part of the path, nor the hover after it, lies in a volume while somebody else holds it. Source: R5, X10."""
+    """No volume that somebody else holds meanwhile meets the one that the path would need. Source: R5, X10.
+
+    It needs what `volumes.swept_volume` reserves for it, half the separation included, and all of it from its beginning:
+    what passes here is not denied by the authority for a volume that is known here. A hover reserves nothing.
+    """
     name, requirements = "reservation", ("R5", "X10")
     start_s = situation.now_s + float(path.times_s[0])
     end_s = situation.now_s + max(float(path.times_s[-1]), limits.horizon_s)
@@ -187,17 +191,12 @@ def _could_be_m(points: Floats, neighbours: Neighbours, ages: Floats, situation:
 def _one_reservation(
     name: str, requirements: tuple[str, ...], volume: ReservedVolume, path: Path, situation: Situation, limits: Limits
 ) -> Finding:
-    margins = _from_capsule(path.points_ned_m, volume) - error_m(situation.vehicle.sigma_m, limits) - path.slack_m
-    times = situation.now_s + path.times_s
-    # A stretch counts if any of its time lies in the window; the hover is the last point until the horizon.
-    arrives, leaves = times, np.append(times[1:], max(float(times[-1]), situation.now_s + limits.horizon_s))
-    counts = ~((arrives > volume.until_s) | (leaves < volume.from_s))
-    held = counts | np.append(False, counts[:-1])
-    if not held.any():
-        return Finding(name, requirements, None, "m", True, "no reserved volume in the way")
-    stretches = between(margins, gaps_m(path))[counts[:-1]]
+    half_m = 0.5 * limits.separation_m if len(path.times_s) > 1 else 0.0
+    own_m = error_m(situation.vehicle.sigma_m, limits) + path.slack_m + half_m
+    margins = _from_capsule(path.points_ned_m, volume) - own_m
+    stretches = between(margins, gaps_m(path))
     who = volume.holder.replace("{", "{{").replace("}", "}}")
-    return judge(name, requirements, margins[held], stretches, f"volume held by {volume.holder}",
+    return judge(name, requirements, margins, stretches, f"volume held by {volume.holder}",
                  f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}")  # fmt: skip
 
 

@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety.constraints import nearby
+from safety.planner import plan_translation, swept
 from safety.separation import neighbour_age, reservation, separation
 from safety.situation import Situation
-from safety.vocabulary import Floats, Ned, Neighbours, Path, ReservedVolume
+from safety.vocabulary import Floats, Ned, Neighbours, Path, Primitive, ReservedVolume
+from safety.volumes import swept_volume, volumes_meet
 from tests.safety.scene import EXACT, LIMITS, NOW_S, START, hover, number, situation, sky, straight, vehicle
 
 STILL = Ned(0.0, 0.0, 0.0)
@@ -265,7 +267,7 @@ def volume(start: Ned, end: Ned, radius_m: float = 1.0, from_s: float = 0.0, unt
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_a_reserved_volume_keeps_its_distance(offset: float) -> None:
-    required = 1.0 + LIMITS.tracking_m + 2.0 * 0.25 + 0.2
+    required = 1.0 + LIMITS.tracking_m + 2.0 * 0.25 + 0.2 + 0.5 * LIMITS.separation_m
     ahead = volume(at(1.0 + required + offset, -5.0), at(1.0 + required + offset, 5.0))
     scene = situation(vehicle=vehicle(sigma_h_m=0.25, sigma_v_m=0.1), reservations=(ahead,))
     found = reservation(north(slack_m=0.2), scene, LIMITS)
@@ -279,7 +281,7 @@ def test_a_reserved_volume_keeps_its_distance(offset: float) -> None:
     [
         (-10.0, 60.0, False),
         (-10.0, -1e-6, True),  # over
-        (-10.0, 0.5, True),  # over before the drone gets there
+        (-10.0, 0.5, False),  # over before the drone gets there, but the path's own volume is needed from the beginning
         (-10.0, 1.9, False),
         (LIMITS.horizon_s - 1e-3, 60.0, False),  # begins while it hovers there
         (LIMITS.horizon_s + 1e-3, 60.0, True),
@@ -302,8 +304,36 @@ def test_inside_a_reserved_volume_only_the_way_out_is_admitted() -> None:
     scene = situation(reservations=(volume(START, START, radius_m=3.0),))
     inside = straight(at(1.5), start=at(1.0))
     assert reservation(inside, scene, EXACT).passed
-    assert number(reservation(inside, scene, EXACT)) == pytest.approx(-2.0, abs=0.1)
+    assert number(reservation(inside, scene, EXACT)) == pytest.approx(-2.0 - 0.5 * EXACT.separation_m, abs=0.1)
     assert not reservation(straight(at(0.5), start=at(1.0)), scene, EXACT).passed
+
+
+def test_a_hover_reserves_nothing() -> None:
+    """Only what it needs itself must be clear: half the separation is in the other's volume."""
+    east_m = 1.0 + 0.5 * EXACT.separation_m - 0.01
+    beside = volume(at(0.0, east_m), at(0.0, 9.0), radius_m=1.0)
+    assert reservation(hover(), situation(reservations=(beside,)), EXACT).passed
+    assert not reservation(straight(at(0.0, 0.5)), situation(reservations=(beside,)), EXACT).passed
+
+
+@given(
+    st.sampled_from([p for p in Primitive if p not in (Primitive.SCAN_LEFT, Primitive.SCAN_RIGHT, Primitive.RETURN)]),
+    st.floats(0.1, 1.0),
+    st.builds(at, st.floats(-8, 8), st.floats(-8, 8), st.floats(-3, 3)),
+    st.builds(at, st.floats(-8, 8), st.floats(-8, 8), st.floats(-3, 3)),
+    st.floats(0.5, 4.0),
+    st.floats(-1.0, 20.0),
+)
+def test_what_passes_is_not_denied_by_the_authority(
+    primitive: Primitive, length_m: float, start: Ned, end: Ned, radius_m: float, until_s: float
+) -> None:
+    """Where a known volume is in the way, it is the supervisor that delays, shortens or rejects."""
+    scene = situation(reservations=(volume(start, end, radius_m, from_s=-5.0, until_s=until_s),))
+    plan = plan_translation(primitive, START, 180.0, Ned(-10.0, 0.0, 0.0), length_m, LIMITS)
+    found = reservation(swept(plan, LIMITS), scene, LIMITS)
+    if found.passed and (found.margin is None or found.margin >= 0.0):  # else it leads out of one that it is in already
+        own = swept_volume(plan, "red", scene.vehicle.sigma_m, NOW_S, LIMITS)
+        assert not volumes_meet(own, scene.reservations[0])
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import subprocess
 import sys
@@ -12,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from safety.vocabulary import Ned
+from safety.vocabulary import Ned, ReservedVolume
 from tests.air import ROOT, Broker, app, broker, until
+from tests.air import App as AirApp
 from tests.whole import HILLSIDE, PLAIN, App, Simulated, m3r, simulated
 
 pytestmark = pytest.mark.xdist_group("air")
@@ -105,6 +107,41 @@ def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
         assert verdicts["script-4"] == "rejected", "not ours any more"
         assert fleet.wait("red", mode="LOITER")
         assert ran.status == 0 and ran.of("end")[0]["violations"] == 0
+
+
+async def test_a_volume_that_another_laptop_holds_delays_or_shortens(air: Broker, tmp_path: Path) -> None:
+    """Bob's volume stands 3 m left of red: at first for a moment, which is waited for, then for long. Source: R5, X10."""
+    script = written(tmp_path / "script", "2 panel go left\n10 panel go left\n")
+
+    def beside_red(lasts_s: float) -> ReservedVolume:
+        now_s = time.monotonic()
+        return ReservedVolume("blue", Ned(14.0, -4.6, -6.2), Ned(14.0, -4.5, -6.2), 2.0, now_s, now_s + lasts_s)
+
+    def read(alice: App, status: str) -> None:
+        alice.until("pair", status=status)
+
+    with authority(air, tmp_path), simulated(HILLSIDE, tmp_path) as fleet:
+        words = [w.replace(str(PLAIN), str(HILLSIDE)) for w in flight(air, fleet, "alice", "red", script)]
+        alice = App(words)
+        async with app(air, "bob", blue=Ned(-20.0, -20.0, -10.0)) as bob:
+            await until(lambda: bob.shared.trouble is None)
+            assert await bob.claim("blue") is None
+            await asyncio.to_thread(read, alice, "confirmed")
+            assert (await reserved(bob, "short", beside_red(3.5)))[0] == "granted"
+            await asyncio.to_thread(alice.until, "motion", request="script-1", status="completed")
+            assert (await reserved(bob, "long", beside_red(20.0)))[0] == "granted"
+            ran = await asyncio.to_thread(alice.finish)
+    assert [d["verdict"] for d in ran.of("decision", request="script-1")] == ["delayed", "approved"]
+    (second,) = ran.of("decision", request="script-2")
+    failing = [f["text"] for f in second["findings"] if f["constraint"] == "reservation" and not f["passed"]]
+    assert second["verdict"] in ("reduced", "rejected") and "volume that blue holds" in failing[0]
+    assert second["granted_m"] is None or second["granted_m"] < 1.0
+
+
+async def reserved(one: AirApp, lease: str, volume: ReservedVolume) -> tuple[str, str]:
+    answered: asyncio.Future[tuple[str, str]] = asyncio.get_running_loop().create_future()
+    one.shared.reserve(volume.holder, lease, volume, lambda *answer: answered.set_result(answer))
+    return await asyncio.wait_for(answered, 2.0)
 
 
 @pytest.mark.soak
