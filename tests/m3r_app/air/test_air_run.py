@@ -16,6 +16,7 @@ import pytest
 from safety.vocabulary import Ned, ReservedVolume
 from tests.air import ROOT, Broker, app, broker, until
 from tests.air import App as AirApp
+from tests.ui.test_console_run import Terminal
 from tests.whole import HILLSIDE, PLAIN, App, Simulated, m3r, simulated
 
 pytestmark = pytest.mark.xdist_group("air")
@@ -225,3 +226,26 @@ def said(*words: str) -> str:
     command[-1] += "c.PARTS = (('broker', air),); import sys; from ui.cli import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=True)
     return " ".join(done.stdout.split())
+
+
+@pytest.mark.soak
+def test_the_console_says_within_two_seconds_that_the_broker_is_gone(air: Broker, tmp_path: Path) -> None:
+    """And STOP is taken all the same; when the broker is back, so is the air."""
+    with authority(air, tmp_path), simulated(HILLSIDE, tmp_path) as fleet:
+        words = ["--scenario", str(HILLSIDE), "--vehicle", f"red={fleet.urls['red']}", "--broker", air.url]
+        terminal = Terminal("console", *words, "--credentials", str(air.credentials("operator.alice")), size=(120, 40))
+        terminal.until(lambda: "no drone paired" in terminal.words, "a picture")
+        terminal.type("1")
+        terminal.until(lambda: "ManeuverRequestArmed" in terminal.words, "paired")
+        terminal.shown = ""
+        air.stop(hard=True)
+        died_s = time.monotonic()
+        terminal.until(lambda: "no broker" in terminal.words, "no broker")
+        assert time.monotonic() - died_s < 2.0
+        terminal.type(" ")
+        terminal.until(lambda: "Red: holding" in terminal.words, "STOP")
+        air.start()
+        terminal.until(lambda: f"connected to {air.url} again" in terminal.words, "connected again")
+        terminal.type("\x03")
+        assert terminal.wait() == 130
+        fleet.wait("red", mode="LOITER")
