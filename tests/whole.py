@@ -49,32 +49,42 @@ class App:
             stdin=subprocess.PIPE if stdin is not None else nothing,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
+            bufsize=0,  # what is read is all here: nothing is left in a buffer that `communicate` does not know
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
+        self._unread = b""
         self.events: list[dict[str, Any]] = []
         if stdin is not None:
             assert self.process.stdin is not None
-            self.process.stdin.write(stdin)
+            self.process.stdin.write(stdin.encode())
             self.process.stdin.close()
             self.process.stdin = None
 
     def until(self, event: str, **fields: object) -> dict[str, Any]:
         """Read the output up to the first such event."""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
+        while (line := self._line()) is not None:
             found = _strict(line)
             self.events.append(found)
             if found["event"] == event and all(found.get(k) == v for k, v in fields.items()):
                 return found
-        raise AssertionError(
-            f"no {event} {fields} before the end: {self.process.stderr and self.process.stderr.read()}"
-        )
+        raise AssertionError(f"no {event} {fields} before the end: {self.finish().told}")
+
+    def _line(self) -> str | None:
+        """The next line of its output; None at the end."""
+        assert self.process.stdout is not None
+        while b"\n" not in self._unread:
+            more = self.process.stdout.read(65536)
+            if not more:
+                return None
+            self._unread += more
+        line, _, self._unread = self._unread.partition(b"\n")
+        return line.decode()
 
     def finish(self) -> Ran:
         out, err = self.process.communicate(timeout=PATIENCE_S)
-        self.events += [_strict(line) for line in out.splitlines()]
-        return Ran(self.process.returncode, self.events, err)
+        lines = (self._unread + out).decode().splitlines()
+        self.events += [_strict(line) for line in lines]
+        return Ran(self.process.returncode, self.events, err.decode())
 
 
 def _strict(line: str) -> dict[str, Any]:

@@ -397,7 +397,7 @@ def test_a_dry_run_told_plainly_flies_nothing(tmp_path: Path) -> None:
         script.write_text("0.5 panel go right\n1.5 voice go up confidence=0.3\n2.5 panel turn left\n")
         asked = ["run", "--dry-run", "--plain", "--pair", "red", "--script", str(script), "--scenario", str(PLAIN)]
         app = App([*asked, *sim.vehicles])
-        out, told = app.process.communicate(timeout=60.0)
+        out, told = (text.decode() for text in app.process.communicate(timeout=60.0))
         assert app.process.returncode == 0, told
         before, after = sim.states("red")[0]["ned_m"], sim.last("red")["ned_m"]
         assert math.dist(before, after) < 0.5
