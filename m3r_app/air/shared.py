@@ -46,7 +46,6 @@ class _Claimed:
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
-    topic: AskTopic
     then: Callable[[Answer], None]
     late_at_s: float
 
@@ -351,7 +350,7 @@ class SharedAirspace:
     def _ask(self, drone: str, ask: Claim | GiveUp | Reserve | Free, then: Callable[[Answer], None]) -> None:
         topic = AskTopic(self._credentials.area, drone, self._credentials.name)
         number = secrets.token_hex(8)
-        self._pending[number] = _Pending(topic, then, self._clock() + ANSWER_S)
+        self._pending[number] = _Pending(then, self._clock() + ANSWER_S)
         body = AskBody(id=number, inbox=self._inbox.inbox, ask=ask)
         self._exchange.send(
             topic,

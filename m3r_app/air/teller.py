@@ -52,6 +52,8 @@ class Teller:
         # A little early is better than one telemetry period late.
         if now_s - self._told_at_s.get(drone, -math.inf) < 0.9 * PERIOD_S:
             return
+        if not all(map(math.isfinite, place)):
+            return
         cell, cells = cell_of(place), cells_told(place)
         if self._cells.get(drone, ("", frozenset[str]()))[0] != cell:
             self._cells[drone] = (cell, cells_near(place))
@@ -62,7 +64,7 @@ class Teller:
                 place=Place.of(place),
                 velocity=Velocity(north_m_s=velocity.north, east_m_s=velocity.east, down_m_s=velocity.down),
                 sigma_m=sigma_m,
-                age_s=max(0.0, age_s),
+                age_s=max(age_s, 0.0),  # in this order a NaN stays one, and is refused
             )
         except ValidationError:
             return  # incomplete or stale
