@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from m3r_app.arbiter import step
 from m3r_app.events import (
     ArbiterState,
+    ClaimLost,
     Ended,
     FaceOperator,
     Fly,
@@ -174,6 +175,7 @@ def every_event(table: Tabletop) -> list[Any]:
         PairingAnswered("red", ()),
         Stalled("it stalled"),
         Tick(),
+        ClaimLost("its claim is lost"),
         Ended("the run is over"),
     ]
 
@@ -204,6 +206,26 @@ def test_ended_leaves_in_hold(state: State) -> None:
     assert table.state.flight is table.state.deciding is table.state.pending is None
     if state is not State.PAIRING:
         assert table.state.state is State.IDLE
+
+
+@pytest.mark.parametrize("state", list(MADE))
+def test_a_claim_that_is_lost_ends_the_session_in_hold(state: State) -> None:
+    """X3: somebody else may have the drone by now, so nothing of ours goes on."""
+    table = MADE[state]()
+    held_authority = table.state.authority
+    effects = table.put(ClaimLost("its claim could not be renewed for 4 s"))
+    assert (LetGo("hold") in effects) == held_authority
+    assert table.state.flight is table.state.deciding is table.state.pending is None
+    if held_authority:
+        assert effects.index(Hold("claim lost")) < effects.index(LetGo("hold")) and table.state.state is State.IDLE
+        assert "its claim could not be renewed for 4 s" in table.reports("pair")[-1]["reasons"][0]
+
+
+def test_a_drone_that_is_not_heard_is_not_said_to_hold() -> None:
+    table = Tabletop().paired()
+    table.now_s += 10.0
+    table.put(Ended("the run is over"))
+    assert table.reports("pair")[-1]["reasons"] == ["the run is over, it is not heard, so its own failsafe has it"]
 
 
 # ---------------------------------------------------------------- any sequence of events

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from pathlib import Path
 
@@ -314,3 +315,11 @@ def test_a_message_of_another_shape_is_one_sentence(
 def test_a_number_that_is_none_is_a_dash() -> None:
     assert [shown(value) for value in (None, math.nan, -0.001, 1.005, "x")] == ["–", "–", "0.00", "1.00", "–"]
     assert json.dumps(shown(1.0)) == '"1.00"'
+
+
+def test_what_is_no_file_is_told_and_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nobody writes into this pipe."""
+    pipe = tmp_path / "flight.mcap"
+    os.mkfifo(pipe)
+    assert main(["report", str(pipe)]) == 2
+    assert f"{pipe} is no file: name a flight record" in capsys.readouterr().err
