@@ -27,11 +27,11 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from m3r_app.air.credentials import load_credentials, parse_broker, tls_context  # noqa: E402
-from m3r_app.air.messages import Place, State, Velocity, write_body  # noqa: E402
-from m3r_app.air.shared import SharedAirspace  # noqa: E402
-from m3r_app.air.signing import Signer  # noqa: E402
-from m3r_app.air.topics import StateTopic, cell_of, cells_near  # noqa: E402
+from m3r_app.airspace.credentials import load_credentials, parse_broker, tls_context  # noqa: E402
+from m3r_app.airspace.messages import Place, State, Velocity, write_body  # noqa: E402
+from m3r_app.airspace.shared import SharedAirspace  # noqa: E402
+from m3r_app.airspace.signatures import Signer  # noqa: E402
+from m3r_app.airspace.topics import StateTopic, cell_of, cells_near  # noqa: E402
 from safety.frames import LocalFrame  # noqa: E402
 from safety.vocabulary import Geodetic, Ned, Neighbours  # noqa: E402
 

@@ -26,9 +26,9 @@ from textual import events
 from textual.app import App, ComposeResult
 from textual.widgets import Label
 
-from m3r_app.live import Live
 from m3r_app.options import RunOptions
 from m3r_app.recorder import read_record
+from m3r_app.run_thread import Live
 from ui.console.app import Console
 
 ROOT = Path(__file__).resolve().parent.parent

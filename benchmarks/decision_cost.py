@@ -25,7 +25,6 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from safety.bounds import error_m, session, standoff, workspace
 from safety.confidence import authority, input_confidence, localization, terrain_confidence
 from safety.envelope import envelope
 from safety.geofence import Geofence
@@ -34,6 +33,7 @@ from safety.obstacles import Obstacles
 from safety.planner import swept
 from safety.separation import neighbour_age, reservation
 from safety.situation import Situation, World
+from safety.spatial import error_m, session, standoff, workspace
 from safety.supervisor import decide, interpret, propose
 from safety.terrain import Terrain
 from safety.vocabulary import (

@@ -21,10 +21,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modalities.hand_stream import HandStream
-from modalities.hands import HandDetector
-from modalities.models import HandModel, ModelError, find_hand_model
-from modalities.video import Frame, VideoError, VideoFile
+from modalities.hands.landmarker import HandDetector
+from modalities.hands.stream import HandStream
+from modalities.hands.video import Frame, VideoError, VideoFile
+from modalities.models.catalogue import HandModel, ModelError, find_hand_model
 from safety.vocabulary import ManeuverRequest
 
 ROOT = Path(__file__).resolve().parent.parent

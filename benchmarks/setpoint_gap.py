@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from m3r_app.recorder import read_record
-from modalities.models import ModelError, find_hand_model, find_model
+from modalities.models.catalogue import ModelError, find_hand_model, find_model
 
 ROOT = Path(__file__).resolve().parent.parent
 DEMO = ROOT / "config" / "demo"

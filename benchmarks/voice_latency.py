@@ -23,13 +23,13 @@ import vosk
 from rich.console import Console
 from rich.table import Table
 
-from modalities.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, quiet, read_audio
-from modalities.evaluate import PADDING_S, hear
-from modalities.models import ModelError, find_model
+from modalities.models.catalogue import ModelError, find_model
 from modalities.outcomes import percentile_ms
-from modalities.phrases import PhraseTable
-from modalities.voice import UNKNOWN_WORD, Recognizer, load_model
-from modalities.voice_end import VoiceEnd
+from modalities.voice.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, quiet, read_audio
+from modalities.voice.decoder import UNKNOWN_WORD, Recognizer, load_model
+from modalities.voice.evaluation import PADDING_S, hear
+from modalities.voice.phrases import PhraseTable
+from modalities.voice.vad import VoiceEnd
 from safety.vocabulary import Command
 
 PAPER_CHUNK_SAMPLES = 4000

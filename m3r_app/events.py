@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from m3r_app.fusion import Remembered
+from m3r_app.arbiter.fusion import Remembered
 from m3r_app.modes import MODE_OF, State
 from safety.constraints import RULES, Rule
 from safety.limits import Limits

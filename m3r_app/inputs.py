@@ -16,10 +16,10 @@ from typing import Protocol, TypeVar
 
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
-from modalities.gestures import Hand
-from modalities.own_voice import OwnVoice
-from modalities.push_to_talk import PushToTalk
+from modalities.hands.gestures import Hand
 from modalities.script import ScriptedRequest, read_script
+from modalities.voice.push_to_talk import PushToTalk
+from modalities.voice.self_speech import OwnVoice
 from safety.vocabulary import ManeuverRequest
 
 T = TypeVar("T")
@@ -125,11 +125,11 @@ class Voice:
         # Heavy, and not needed for scripts alone.
         import numpy as np
 
-        from modalities.audio import quiet, read_audio
-        from modalities.microphone import Microphone
-        from modalities.models import find_model
-        from modalities.phrases import PhraseTable
-        from modalities.voice import Recognizer, load_model
+        from modalities.models.catalogue import find_model
+        from modalities.voice.audio import quiet, read_audio
+        from modalities.voice.decoder import Recognizer, load_model
+        from modalities.voice.microphone import Microphone
+        from modalities.voice.phrases import PhraseTable
 
         self._say = say
         self._own_voice = own_voice if isinstance(source, LiveMicrophone) else None
@@ -152,8 +152,8 @@ class Voice:
 
     async def play(self, began_s: float, clock: Clock, sink: Sink, senses: Senses) -> None:
         """Listen in a thread of its own: until the recording ends, or for ever. Raises InputError if a recording breaks off."""
-        from modalities.audio import chunks
-        from modalities.voice_stream import VoiceStream
+        from modalities.voice.audio import chunks
+        from modalities.voice.stream import VoiceStream
 
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[Exception | None] = loop.create_future()
@@ -199,10 +199,10 @@ class Hands:
         Raises VideoError for a file that cannot be read, ModelError, and CameraMissing for a camera that gives no picture.
         """
         # Heavy, and not needed without hands.
-        from modalities.camera import Camera, CameraAddress
-        from modalities.hands import HandDetector
-        from modalities.models import find_hand_model
-        from modalities.video import VideoError, VideoFile
+        from modalities.hands.camera import Camera, CameraAddress
+        from modalities.hands.landmarker import HandDetector
+        from modalities.hands.video import VideoError, VideoFile
+        from modalities.models.catalogue import find_hand_model
 
         self._say = say
         self._settings = settings
@@ -226,9 +226,9 @@ class Hands:
         """Watch in a thread of its own: until the video ends, or for ever. Returns what was wrong with a video that broke off;
         that is announced at once, and whatever else is being played goes on.
         """
-        from modalities.hand_stream import HandStream
-        from modalities.hold import Hold
-        from modalities.video import PlayedFile, VideoSource
+        from modalities.hands.dwell import Hold
+        from modalities.hands.stream import HandStream
+        from modalities.hands.video import PlayedFile, VideoSource
 
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[Exception | None] = loop.create_future()
@@ -321,7 +321,7 @@ def open_inputs(
 
     Raises ScriptError, AudioError, VideoError, ModelError: one sentence.
     """
-    from modalities.audio_devices import MicrophoneError
+    from modalities.voice.devices import MicrophoneError
 
     script = read_script(options.script, colours) if options.script is not None else ()
     sentences: list[str] = []

@@ -13,7 +13,7 @@ from safety.vocabulary import Geodetic
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from modalities.camera import CameraAddress
+    from modalities.hands.camera import CameraAddress
 
 TAKEOFF_M = (1.0, 120.0)
 TIMEOUT_S = (0.1, 86_400.0)
@@ -154,8 +154,8 @@ def parse_video(text: str) -> Path | CameraAddress | None:
     """A video, a camera of this machine (`camera:0`) or of the network (its address); None for none."""
     if text == "none":
         return None
-    from modalities.camera import camera_address  # loads OpenCV
-    from modalities.video import VideoError
+    from modalities.hands.camera import camera_address  # loads OpenCV
+    from modalities.hands.video import VideoError
 
     try:
         return camera_address(text) or _path(text)

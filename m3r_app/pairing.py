@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from m3r_app.telemetry import Telemetry
+from m3r_app.vehicle.telemetry import Telemetry
 from safety.confidence import confidence_of
 from safety.frames import LocalFrame
 from safety.limits import Limits

@@ -28,9 +28,9 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from m3r_app.plain import plain, restored
-from m3r_app.record_views import views
-from m3r_app.scene_views import Scene
-from m3r_app.view_schemas import SCHEMAS
+from m3r_app.record.foxglove_scene import Scene
+from m3r_app.record.foxglove_schemas import SCHEMAS
+from m3r_app.record.foxglove_views import views
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from modalities.phrases import PhraseTable
+from modalities.voice.phrases import PhraseTable
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 SURE: dict[Modality, float] = {Modality.PANEL: 1.0, Modality.VOICE: 0.95, Modality.GESTURE: 0.95}

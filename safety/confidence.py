@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-from safety.bounds import checked_sigma_m
-from safety.judging import amount, refused
+from safety.findings import amount, refused
 from safety.limits import Limits
 from safety.situation import Situation
+from safety.spatial import checked_sigma_m
 from safety.vocabulary import Finding, ManeuverRequest, Modality, Path, VehicleState
 
 

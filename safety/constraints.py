@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from safety import bounds, confidence
+from safety import confidence
 from safety import separation as others
+from safety import spatial as bounds
 from safety.envelope import envelope
-from safety.judging import SPARE_M
+from safety.findings import SPARE_M
 from safety.limits import Limits
 from safety.situation import Situation, World
 from safety.vocabulary import Finding, ManeuverRequest, Ned, Path, Plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from safety.judging import amount, refused
+from safety.findings import amount, refused
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.vocabulary import Finding, Plan, Primitive

@@ -13,11 +13,11 @@ from typing import Literal
 
 import numpy as np
 
-from safety.bounds import profile
 from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
 from safety.planner import SPACING_M, stopping_m
 from safety.situation import Situation, near_as_before
+from safety.spatial import profile
 from safety.terrain import TerrainPatch
 from safety.vocabulary import POINT, Finding, Ned, Path, Plan
 

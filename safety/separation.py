@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from safety.bounds import NO_ACCURACY, error_m
-from safety.judging import EPSILON, amount, between, gaps_m, judge, once, refused, worst
+from safety.findings import EPSILON, amount, between, gaps_m, judge, once, refused, worst
 from safety.limits import Limits
 from safety.situation import Situation
+from safety.spatial import NO_ACCURACY, error_m
 from safety.vocabulary import Finding, Floats, Neighbours, Path, ReservedVolume
 
 _ONES = np.ones(3)

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from safety.constraints import RULES, Rule, Subject, findings, nearby
+from safety.length_search import Tried, longest_passing
 from safety.limits import Limits
 from safety.planner import full_length_m, length_reaching_m, plan_return, plan_scan, plan_translation, stopping_m, swept
-from safety.search import Tried, longest_passing
 from safety.situation import Situation
 from safety.vocabulary import (
     PRIMITIVE_OF,

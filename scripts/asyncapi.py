@@ -15,9 +15,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from m3r_app.air.messages import BODY_OF, HELD_MAX, LIMIT_BYTES  # noqa: E402
-from m3r_app.air.signing import WINDOW_S  # noqa: E402
-from m3r_app.air.topics import NAME, AnswerTopic, AskTopic, HeldTopic, StateTopic, Topic  # noqa: E402
+from m3r_app.airspace.messages import BODY_OF, HELD_MAX, LIMIT_BYTES  # noqa: E402
+from m3r_app.airspace.signatures import WINDOW_S  # noqa: E402
+from m3r_app.airspace.topics import NAME, AnswerTopic, AskTopic, HeldTopic, StateTopic, Topic  # noqa: E402
 
 FILE = ROOT / "docs" / "asyncapi.yaml"
 SIGNATURE = (

@@ -18,8 +18,8 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from m3r_app.live import Live
 from m3r_app.options import RunOptions
+from m3r_app.run_thread import Live
 from ui.console.app import Console
 from ui.report import write_report
 

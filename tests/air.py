@@ -17,11 +17,11 @@ from pathlib import Path
 
 import pytest
 
-from m3r_app.air.credentials import load_credentials, parse_broker
-from m3r_app.air.service import AirspaceService
-from m3r_app.air.shared import SharedAirspace
-from m3r_app.air.store import Store
-from m3r_app.telemetry import NEVER_HEARD
+from m3r_app.airspace.credentials import load_credentials, parse_broker
+from m3r_app.airspace.service import AirspaceService
+from m3r_app.airspace.shared import SharedAirspace
+from m3r_app.airspace.store import Store
+from m3r_app.vehicle.telemetry import NEVER_HEARD
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, Neighbours
 

@@ -11,8 +11,8 @@ import sys
 import time
 from pathlib import Path
 
-from m3r_app.air.credentials import load_credentials, parse_broker
-from m3r_app.air.shared import SharedAirspace
+from m3r_app.airspace.credentials import load_credentials, parse_broker
+from m3r_app.airspace.shared import SharedAirspace
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, ReservedVolume
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from m3r_app.arbiter import step
+from m3r_app.arbiter.step import step
 from m3r_app.events import (
     Announce,
     ArbiterState,
@@ -38,8 +38,8 @@ from m3r_app.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.motion import MotionController
 from m3r_app.sim.dynamics import Multirotor, PositionError, Setpoint, Wind
+from m3r_app.vehicle.motion_controller import MotionController
 from safety.constraints import RULES, Rule
 from safety.frames import bearing_deg
 from safety.geofence import Geofence

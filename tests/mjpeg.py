@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import cv2
 import numpy as np
 
-from modalities.camera import CameraAddress, camera_address
+from modalities.hands.camera import CameraAddress, camera_address
 
 
 class Site(http.server.BaseHTTPRequestHandler):

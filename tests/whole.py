@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from m3r_app.fleet import free_udp_block
+from m3r_app.vehicle.fleet import free_udp_block
 
 ROOT = Path(__file__).resolve().parent.parent
 PLAIN = ROOT / "config/scenarios/plain.toml"

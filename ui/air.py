@@ -12,12 +12,12 @@ from pathlib import Path
 
 import platformdirs
 
-from m3r_app.air.beacon import Beacon
-from m3r_app.air.credentials import load_credentials, parse_broker
-from m3r_app.air.service import AirspaceService
-from m3r_app.air.store import Store
-from m3r_app.fleet import Fleet, Links
+from m3r_app.airspace.beacon import Beacon
+from m3r_app.airspace.credentials import load_credentials, parse_broker
+from m3r_app.airspace.service import AirspaceService
+from m3r_app.airspace.store import Store
 from m3r_app.ports import check_link
+from m3r_app.vehicle.fleet import Fleet, Links
 
 Say = Callable[[str], None]
 ENDED, INTERRUPTED = 0, 130

@@ -103,7 +103,7 @@ def _run_console(options: argparse.Namespace) -> int:
 
 
 def _run_serve(options: argparse.Namespace) -> int:
-    from m3r_app.preparation import prepare
+    from m3r_app.run_setup import prepare
     from ui.serve import serve
 
     prepare(_asked(options))  # what is wrong with them is told here, not in the browser
@@ -123,8 +123,8 @@ def _run_run(options: argparse.Namespace) -> int:
     asked = replace(_asked(options), headless=options.headless, plain=options.plain)
     import asyncio
 
-    from m3r_app.app import run
-    from modalities.own_voice import OwnVoice
+    from m3r_app.run import run
+    from modalities.voice.self_speech import OwnVoice
     from ui.output import Output
     from ui.speaker import speaking
 
@@ -185,8 +185,8 @@ def _run_beacon(options: argparse.Namespace) -> int:
 
 
 def _run_check(options: argparse.Namespace) -> int:
-    from ui.check import show
-    from ui.findings import Wanted
+    from ui.check.command import show
+    from ui.check.findings import Wanted
 
     if options.audio is not None and not isinstance(options.audio, LiveMicrophone):
         raise OptionError(f"--audio {options.audio}: check listens to a microphone, give mic or mic:NAME")

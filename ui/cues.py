@@ -1,7 +1,7 @@
 """What is spoken of a run: short cues, named by the drone's colour, in the operator's directions. Pure.
 
 The words are chosen by what real recognition makes of them: "other aircraft" became *go left* and "waits, Blue" *activate blue*.
-A cue must never be a request: the word *stop* is not in it (it says *holding*), and no phrase of `modalities.phrases` is, as a
+A cue must never be a request: the word *stop* is not in it (it says *holding*), and no phrase of `modalities.voice.phrases` is, as a
 whole or in part, so a name that holds a word of them is not spoken either. Source: R1, X4.
 """
 
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modalities.phrases import PhraseTable, normalise
+from modalities.voice.phrases import PhraseTable, normalise
 
 Event = Mapping[str, Any]
 COMMAND_WORDS = frozenset(PhraseTable(("x",)).words) - {"x"}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TransferSpeedColumn
 
-from modalities.models import HandModel, ModelError, VoiceModel, find_hand_model, find_model, list_models
+from modalities.models.catalogue import HandModel, ModelError, VoiceModel, find_hand_model, find_model, list_models
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,14 +77,14 @@ def _had(have: Callable[[Show, Say], tuple[Model, bool]], console: Console) -> l
 
 
 def _have_voice_model(show: Show, say: Say) -> tuple[Model, bool]:
-    from modalities.model_sources import fetch_model
+    from modalities.models.voice_sources import fetch_model
 
     present = list_models()
     return (present[0], False) if present else (fetch_model(progress=show, say=say), True)
 
 
 def _have_hand_model(show: Show, say: Say) -> tuple[Model, bool]:
-    from modalities.hand_model_source import have_hand_model
+    from modalities.models.hand_source import have_hand_model
 
     return have_hand_model(progress=show, say=say)
 
@@ -102,11 +102,11 @@ def evaluate(what: str, folder: Path, gesture: Gesture) -> None:
             progress.update(task, completed=done, total=total)
 
         if isinstance(model, VoiceModel):
-            from modalities.evaluate import evaluate_voice
+            from modalities.voice.evaluation import evaluate_voice
 
             result = evaluate_voice(folder, model, progress=show)
         else:
-            from modalities.evaluate_hands import evaluate_hands
+            from modalities.hands.evaluation import evaluate_hands
 
             result = evaluate_hands(folder, model, hold_s=gesture.hold_s, mirrored=gesture.mirrored, progress=show)
     print(json.dumps(result, allow_nan=False, indent=2 if sys.stdout.isatty() else None))

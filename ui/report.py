@@ -19,8 +19,8 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
+from m3r_app.record.flight_summary import Asked, Story, number, place_of, story_of
 from m3r_app.recorder import RecordError, read_header, read_record
-from m3r_app.story import Asked, Story, number, place_of, story_of
 from ui.narrator import every_sentence, sentence
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from m3r_app.options import RunOptions
-    from modalities.own_voice import OwnVoice
+    from modalities.voice.self_speech import OwnVoice
 
 PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")

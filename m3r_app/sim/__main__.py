@@ -76,7 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _tell(fleet: Fleet, broker: str, credentials: Path) -> None:
     """Raises ValueError with one sentence."""
-    from m3r_app.air.credentials import AirError
+    from m3r_app.airspace.credentials import AirError
     from m3r_app.sim.telling import start_telling
 
     try:

@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from m3r_app.air.beacon import Beacon
-from m3r_app.air.credentials import AirError, load_credentials, parse_broker
+from m3r_app.airspace.beacon import Beacon
+from m3r_app.airspace.credentials import AirError, load_credentials, parse_broker
 from m3r_app.sim.fleet import Fleet
 
 LOOK_S = 0.02

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from m3r_app.arbiter import step
+from m3r_app.arbiter.step import step
 from m3r_app.events import (
     Announce,
     ArbiterState,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m3r_app.adsb import FORGET_S, GEOMETRIC_SIGMA_M, KEPT, PRESSURE_SIGMA_M, Aircrafts, aircraft, newest
+from m3r_app.vehicle.adsb import FORGET_S, GEOMETRIC_SIGMA_M, KEPT, PRESSURE_SIGMA_M, Aircrafts, aircraft, newest
 from safety.vocabulary import Geodetic, Ned
 from tests.whole import PLAIN, m3r, simulated
 

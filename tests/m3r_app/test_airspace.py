@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from m3r_app.airspace import LocalAirspace
+from m3r_app.airspace.local import LocalAirspace
 from safety.vocabulary import Geodetic, Ned, ReservedVolume
 
 RED = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 100.0, 110.0)

@@ -12,7 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from m3r_app.arbiter import step
+from m3r_app.arbiter.step import step
 from m3r_app.events import (
     ArbiterState,
     ClaimLost,

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from config.demo.drawn_hand import GESTURES, Pose, centre_of, draw, wall
-from modalities.models import ModelError, find_hand_model
+from modalities.models.catalogue import ModelError, find_hand_model
 from tests.mjpeg import serving
 from tests.whole import PLAIN, App
-from ui import check_mirror
-from ui.check import PARTS
-from ui.findings import Finding, State, Wanted
+from ui.check import mirror as check_mirror
+from ui.check.command import PARTS
+from ui.check.findings import Finding, State, Wanted
 
 RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60")
 PAUSE_S = 0.05

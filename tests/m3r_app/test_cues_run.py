@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from m3r_app.recorder import read_record
-from modalities.audio import quiet, read_audio
-from modalities.models import ModelError, find_model
-from modalities.own_voice import TAIL_S
+from modalities.models.catalogue import ModelError, find_model
+from modalities.voice.audio import quiet, read_audio
+from modalities.voice.self_speech import TAIL_S
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 from tests.whole import PATIENCE_S, PLAIN, App
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from m3r_app.fusion import Relation, Remembered, fused, relate, remember
+from m3r_app.arbiter.fusion import Relation, Remembered, fused, relate, remember
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 VOICE, GESTURE = Modality.VOICE, Modality.GESTURE

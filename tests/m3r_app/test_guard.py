@@ -16,14 +16,14 @@ from typing import IO
 
 import pytest
 
-from m3r_app.guard import HOLD_AFTER_S, KILL_AFTER_S, Guard
+from m3r_app.vehicle.guard import HOLD_AFTER_S, KILL_AFTER_S, Guard
 
 ROOT = Path(__file__).resolve().parents[2]
 RUNS = range(25 if os.environ.get("M3R_SOAK") else 1)
 
 APP = """
     import asyncio, ctypes, os, sys, time
-    from m3r_app.guard import Guard
+    from m3r_app.vehicle.guard import Guard
 
     def say(*words):
         os.write(1, (" ".join(map(str, words)) + "\\n").encode())

@@ -13,9 +13,9 @@ import pytest
 from config.settings import load_settings
 from m3r_app.inputs import open_inputs
 from m3r_app.options import LiveMicrophone, RunOptions
-from modalities.audio import quiet, read_audio
-from modalities.audio_devices import look_again
-from modalities.models import ModelError, find_model
+from modalities.models.catalogue import ModelError, find_model
+from modalities.voice.audio import quiet, read_audio
+from modalities.voice.devices import look_again
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 from tests.whole import PLAIN, App
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from m3r_app.pairing import PairingLimits, objections
-from m3r_app.telemetry import NEVER_HEARD, Telemetry
+from m3r_app.vehicle.telemetry import NEVER_HEARD, Telemetry
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.obstacles import Obstacles

@@ -21,8 +21,8 @@ from mcap.reader import make_reader
 
 from m3r_app import recorder as recorder_module
 from m3r_app.plain import ARRAY_LENGTH, plain, restored
+from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.recorder import SCHEMA_VERSION, Recorder, RecordError, read_header, read_record
-from m3r_app.view_schemas import SCHEMAS
 from safety.vocabulary import Finding, Ned, VehicleState
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

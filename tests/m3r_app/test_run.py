@@ -369,7 +369,7 @@ def test_bad_input_is_one_sentence_that_names_it(arguments: list[str], named: st
 
 def test_a_vehicle_that_never_answers_is_exit_3() -> None:
     """The link is fine, nobody is there."""
-    from m3r_app.fleet import free_udp_block
+    from m3r_app.vehicle.fleet import free_udp_block
 
     url = f"udpin://127.0.0.1:{free_udp_block(1)}"
     began_s = time.monotonic()

@@ -17,15 +17,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from m3r_app.ground import Ground
+from m3r_app.environment.ground import Ground
+from m3r_app.environment.static_scene import stage_of
 from m3r_app.options import RunOptions
 from m3r_app.plain import plain
 from m3r_app.ports import LinkError
-from m3r_app.preparation import prepare
-from m3r_app.scene_views import Scene
-from m3r_app.stage import stage_of
-from m3r_app.view_schemas import SCHEMAS
-from m3r_app.viewer import PER_VIEWER, QUEUE_LENGTH, Viewer
+from m3r_app.record.foxglove_scene import Scene
+from m3r_app.record.foxglove_schemas import SCHEMAS
+from m3r_app.record.foxglove_server import PER_VIEWER, QUEUE_LENGTH, Viewer
+from m3r_app.run_setup import prepare
 from tests.whole import App, m3r
 
 PROTOCOL = "foxglove.sdk.v1"

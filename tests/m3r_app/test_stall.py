@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from m3r_app.app import run
 from m3r_app.options import RunOptions
+from m3r_app.run import run
 from tests.whole import PLAIN, simulated
 
 STALL_S = 2.5

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from m3r_app.reception import HEALTH_CHECKS, RC_RECEIVER, Reception
-from m3r_app.telemetry import ACCURACY_AGE_S, BATTERY_AGE_S, MODE_AGE_S, NEVER_HEARD, Accuracy, Health, Slots
+from m3r_app.vehicle.mavsdk_telemetry import HEALTH_CHECKS, RC_RECEIVER, Reception
+from m3r_app.vehicle.telemetry import ACCURACY_AGE_S, BATTERY_AGE_S, MODE_AGE_S, NEVER_HEARD, Accuracy, Health, Slots
 from safety.vocabulary import Geodetic, Ned
 
 PLACE = Geodetic(47.0, 8.0, 500.0)

@@ -18,10 +18,10 @@ from pathlib import Path
 
 import pytest
 
-from m3r_app.failsafe import apply, check
-from m3r_app.guard import Guard
-from m3r_app.telemetry import Telemetry
-from m3r_app.vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.guard import Guard
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.px4_failsafe import apply, check
+from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned
 from tests.m3r_app.autopilot_stand_in import HOLD, MISSION, OFFBOARD, POSCTL, StandIn
@@ -139,8 +139,8 @@ def test_a_blocked_event_loop_is_put_in_hold_by_the_guard_over_mavlink(fleet: Fl
 
 STUCK = """
     import asyncio, ctypes, sys, time
-    from m3r_app.guard import Guard
-    from m3r_app.vehicle import Vehicle
+    from m3r_app.vehicle.guard import Guard
+    from m3r_app.vehicle.mavsdk_vehicle import Vehicle
     from safety.vocabulary import Ned
 
     async def main():
@@ -369,7 +369,7 @@ def test_the_worse_of_estimator_and_receiver_is_believed_and_neither_is_unknown(
 
 
 def test_what_is_not_healthy_is_named_and_prevents_a_takeoff(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("m3r_app.vehicle.HEALTH_WAIT_S", 0.5)
+    monkeypatch.setattr("m3r_app.vehicle.mavsdk_vehicle.HEALTH_WAIT_S", 0.5)
 
     async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()

@@ -13,8 +13,8 @@ import pytest
 
 from config.settings import load_settings
 from m3r_app.inputs import Hands, Senses
-from modalities.models import ModelError, find_hand_model
-from modalities.video import Frame, VideoFile
+from modalities.hands.video import Frame, VideoFile
+from modalities.models.catalogue import ModelError, find_hand_model
 from safety.vocabulary import Command, ManeuverRequest
 from tests.whole import PLAIN, m3r
 

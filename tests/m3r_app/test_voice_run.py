@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from modalities.audio import SAMPLE_RATE_HZ, quiet, read_audio
-from modalities.models import ModelError, find_model
+from modalities.models.catalogue import ModelError, find_model
+from modalities.voice.audio import SAMPLE_RATE_HZ, quiet, read_audio
 from tests.whole import PLAIN, Ran, m3r
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import vosk
 
-from modalities.models import (
+from modalities.models.catalogue import (
     HAND_MODEL_NAME,
     HandModel,
     ModelError,
@@ -18,7 +18,7 @@ from modalities.models import (
     hand_model_at,
     voice_model_in,
 )
-from modalities.voice import load_model
+from modalities.voice.decoder import load_model
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared" / "models"

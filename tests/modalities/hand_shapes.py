@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from modalities.gestures import Hand
+from modalities.hands.gestures import Hand
 
 WIDTH_PX, HEIGHT_PX = 640, 480
 _KNUCKLES = ((0.27, 0.95), (0.06, 1.0), (-0.15, 0.95), (-0.34, 0.84))

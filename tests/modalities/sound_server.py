@@ -16,7 +16,7 @@ from pathlib import Path
 
 import soundfile
 
-from modalities.audio import SAMPLE_RATE_HZ, Samples
+from modalities.voice.audio import SAMPLE_RATE_HZ, Samples
 
 MICROPHONE = "m3r-test-mic"
 SINK = "m3r_sink"

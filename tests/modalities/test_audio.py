@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from modalities.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, AudioError, chunks, read_audio
+from modalities.voice.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, AudioError, chunks, read_audio
 
 
 def tone(rate_hz: int, duration_s: float = 0.5, amplitude: float = 0.25) -> np.ndarray:

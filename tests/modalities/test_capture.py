@@ -11,8 +11,8 @@ import soxr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalities.audio import SAMPLE_RATE_HZ, Samples
-from modalities.capture import FLOOR_DBFS, ORIGIN_WINDOW_S, Block, CaptureClock, Converter, level_dbfs
+from modalities.voice.audio import SAMPLE_RATE_HZ, Samples
+from modalities.voice.capture import FLOOR_DBFS, ORIGIN_WINDOW_S, Block, CaptureClock, Converter, level_dbfs
 
 
 def blocks_of(

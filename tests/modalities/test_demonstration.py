@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from modalities.evaluate_hands import watch
-from modalities.hands import HandDetector
-from modalities.hold import Hold
-from modalities.models import ModelError, find_hand_model
+from modalities.hands.dwell import Hold
+from modalities.hands.evaluation import watch
+from modalities.hands.landmarker import HandDetector
+from modalities.hands.video import VideoFile
+from modalities.models.catalogue import ModelError, find_hand_model
 from modalities.script import read_script
-from modalities.video import VideoFile
 from safety.vocabulary import Modality
 
 pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time

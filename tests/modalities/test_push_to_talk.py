@@ -6,7 +6,7 @@ import os
 import queue
 import threading
 
-from modalities.push_to_talk import PushToTalk
+from modalities.voice.push_to_talk import PushToTalk
 
 
 def test_it_is_closed_until_it_is_opened_and_says_so() -> None:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from modalities.camera import Camera, CameraAddress, camera_address
-from modalities.video import Frame, PlayedFile, VideoError, VideoFile
+from modalities.hands.camera import Camera, CameraAddress, camera_address
+from modalities.hands.video import Frame, PlayedFile, VideoError, VideoFile
 from tests.mjpeg import Site, serving
 
 WIDTH_PX, HEIGHT_PX = 160, 120
@@ -193,9 +193,9 @@ def test_a_lost_camera_is_announced_and_taken_up_again(
     site: tuple[type[Site], CameraAddress], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     handler, address = site
-    monkeypatch.setattr("modalities.camera.SILENT_S", 0.3)
-    monkeypatch.setattr("modalities.camera.FIRST_PAUSE_S", 0.1)
-    monkeypatch.setattr("modalities.camera.LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr("modalities.hands.camera.SILENT_S", 0.3)
+    monkeypatch.setattr("modalities.hands.camera.FIRST_PAUSE_S", 0.1)
+    monkeypatch.setattr("modalities.hands.camera.LONGEST_PAUSE_S", 0.2)
     said: list[str] = []
     watcher = Watcher(Camera(address, clock=time.monotonic, say=said.append))
     try:
@@ -214,7 +214,7 @@ def test_a_lost_camera_is_announced_and_taken_up_again(
 
 def test_a_frozen_camera_gives_nothing(site: tuple[type[Site], CameraAddress], monkeypatch: pytest.MonkeyPatch) -> None:
     handler, address = site
-    monkeypatch.setattr("modalities.camera.SILENT_S", 0.3)
+    monkeypatch.setattr("modalities.hands.camera.SILENT_S", 0.3)
     said: list[str] = []
     watcher = Watcher(Camera(address, clock=time.monotonic, say=said.append))
     try:

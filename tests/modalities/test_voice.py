@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 import vosk
 
-from modalities.audio import AudioError, Chunk, Samples, chunks, quiet, read_audio
-from modalities.evaluate import TOLERATED_FALSE_MOVES, evaluate_voice, hear
-from modalities.models import ModelError, VoiceModel
+from modalities.models.catalogue import ModelError, VoiceModel
 from modalities.outcomes import Answer, EvaluationError, Trial, choose_threshold
-from modalities.phrases import PhraseTable
 from modalities.script import read_script
-from modalities.voice import CLOSE_AFTER_S, Heard, Hypothesis, Recognizer, confidence_of
-from modalities.voice_stream import VoiceStream
+from modalities.voice.audio import AudioError, Chunk, Samples, chunks, quiet, read_audio
+from modalities.voice.decoder import CLOSE_AFTER_S, Heard, Hypothesis, Recognizer, confidence_of
+from modalities.voice.evaluation import TOLERATED_FALSE_MOVES, evaluate_voice, hear
+from modalities.voice.phrases import PhraseTable
+from modalities.voice.stream import VoiceStream
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety.constraints import RULES, Subject, findings, nearby
+from safety.findings import SPARE_M, amount, once
 from safety.geofence import Geofence
-from safety.judging import SPARE_M, amount, once
 from safety.obstacles import Obstacles
 from safety.planner import plan_translation, swept
 from safety.requirements import REQUIREMENTS

@@ -12,8 +12,8 @@ from typing import Any
 from m3r_app.events import ArbiterState, Policy, Session
 from m3r_app.modes import State
 from m3r_app.options import RunOptions
-from m3r_app.picture import Craft, Picture
-from m3r_app.preparation import Setting, prepare
+from m3r_app.run_setup import Setting, prepare
+from m3r_app.snapshot import Craft, Picture
 from safety.limits import Limits
 from safety.vocabulary import Anchor, Command, ManeuverRequest, Modality, Ned, Neighbours, VehicleState
 from ui.console.app import Console
@@ -24,7 +24,7 @@ NOW_S = 100.0
 
 
 class Stage:
-    """In place of `m3r_app.live.Live`."""
+    """In place of `m3r_app.run_thread.Live`."""
 
     def __init__(self, picture: Picture | None) -> None:
         self.picture = picture

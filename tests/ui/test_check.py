@@ -11,15 +11,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from m3r_app.fleet import SimulatedFleet
 from m3r_app.scenario import SHIPPED
-from modalities.audio import SAMPLE_RATE_HZ, quiet, read_audio
-from modalities.audio_devices import look_again
+from m3r_app.vehicle.fleet import SimulatedFleet
+from modalities.voice.audio import SAMPLE_RATE_HZ, quiet, read_audio
+from modalities.voice.devices import look_again
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
-from ui import check as check_module
-from ui import check_devices
-from ui.check import PARTS, check, show
-from ui.findings import Finding, State, Wanted, shown
+from ui.check import command as check_module
+from ui.check import devices as check_devices
+from ui.check.command import PARTS, check, show
+from ui.check.findings import Finding, State, Wanted, shown
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 

@@ -41,9 +41,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Any:
             taken.append(options)
             return 0
 
-        app = ModuleType("m3r_app.app")
+        app = ModuleType("m3r_app.run")
         app.run = run
-        monkeypatch.setitem(sys.modules, "m3r_app.app", app)
+        monkeypatch.setitem(sys.modules, "m3r_app.run", app)
         assert cli.main(["run", *words]) == 0
         return taken[0]
 
@@ -201,7 +201,7 @@ def test_whatever_is_raised_is_one_sentence(
 
 
 def test_no_vehicle_is_status_3(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from m3r_app.vehicle import VehicleError
+    from m3r_app.vehicle.mavsdk_vehicle import VehicleError
 
     def fail() -> str:
         raise VehicleError("red does not answer")

@@ -17,7 +17,7 @@ from textual.widgets import Button, Static
 from textual.widgets._toast import Toast
 
 from m3r_app.modes import State
-from m3r_app.preparation import Setting
+from m3r_app.run_setup import Setting
 from safety.vocabulary import Command
 from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_picture, hillside, text_of
 from ui.console.keys import FLOOD, KEYS

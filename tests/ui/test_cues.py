@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalities.phrases import STOP_WORD, PhraseTable, normalise
-from safety.bounds import geofence, obstacle_clearance
+from modalities.voice.phrases import STOP_WORD, PhraseTable, normalise
 from safety.separation import neighbour_age, separation
 from safety.situation import Situation
+from safety.spatial import geofence, obstacle_clearance
 from safety.vocabulary import Finding, Ned
 from tests.safety.scene import EXACT, NOW_S, START, situation, sky, square_fence, straight, wall, world
 from tests.ui.all_cues import CONSTRAINTS, all_cues, decision, finding, pair, paired, request

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from m3r_app.events import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
-from m3r_app.picture import NOWHERE_M, Craft, Picture, margins
-from m3r_app.picture import craft as craft_of
-from m3r_app.preparation import Setting, prepare
-from m3r_app.telemetry import NEVER_HEARD
+from m3r_app.run_setup import Setting, prepare
+from m3r_app.snapshot import NOWHERE_M, Craft, Picture, margins
+from m3r_app.snapshot import craft as craft_of
+from m3r_app.vehicle.telemetry import NEVER_HEARD
 from safety.limits import Limits
 from safety.vocabulary import Anchor, Geodetic, Ned
 from ui.console.drawing import ARROWS, Asked, Window, caption, from_above, from_side, nice_step, reach_of_all

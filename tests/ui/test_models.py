@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from config.demo.drawn_hand import GESTURES, centre_of, draw, wall
-from modalities import models as voice_models
-from modalities.models import ModelError, find_hand_model
+from modalities.models import catalogue as voice_models
+from modalities.models.catalogue import ModelError, find_hand_model
 from ui import cli
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from m3r_app.ground import Ground
+from m3r_app.environment.ground import Ground
 from m3r_app.recorder import SCHEMA_VERSION, Recorder, read_record
 from ui.cli import main
 from ui.report import MARK, ReportError, shown, write_report

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from m3r_app.events import ArbiterState
-from m3r_app.picture import heard_of
+from m3r_app.snapshot import heard_of
 from safety.vocabulary import Neighbours
 from tests.ui.console_stage import SMALL, flying_picture, hillside
 from ui.console import panels

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from m3r_app.options import RunOptions
-from modalities.own_voice import OwnVoice
+from modalities.voice.self_speech import OwnVoice
 from ui import cli
 from ui import speaker as speaker_module
 from ui.cues import Cue
@@ -281,7 +281,7 @@ def test_when_cues_are_spoken(
         known.append(own_voice.overlaps(time.monotonic(), time.monotonic()))
         return 0
 
-    monkeypatch.setattr("m3r_app.app.run", run)
+    monkeypatch.setattr("m3r_app.run.run", run)
     assert cli.main(["run", *words]) == 0
     assert known == [aloud]
     assert bool(spoken.log) is aloud

@@ -21,8 +21,8 @@ from textual.containers import Container, Horizontal, Vertical
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Button, RichLog, Static
 
-from m3r_app.picture import margins
-from m3r_app.preview import Preview, preview
+from m3r_app.arbiter.preview import Preview, preview
+from m3r_app.snapshot import margins
 from safety.vocabulary import Command
 from ui.console import panels, story
 from ui.console.drawing import Asked, from_above, from_side, reach_of_all
@@ -34,8 +34,8 @@ from ui.console.views import Skeleton, View
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from m3r_app.live import Live
-    from m3r_app.picture import Picture
+    from m3r_app.run_thread import Live
+    from m3r_app.snapshot import Picture
     from ui.console.seat import Seat
 
 REFRESH_S = 0.2

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from m3r_app.picture import Craft, Picture
+    from m3r_app.snapshot import Craft, Picture
     from safety.polygons import Polygons
     from safety.situation import World
 

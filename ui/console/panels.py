@@ -10,7 +10,7 @@ from rich.text import Text
 from safety.vocabulary import Mode
 
 if TYPE_CHECKING:
-    from m3r_app.picture import Margin, Picture
+    from m3r_app.snapshot import Margin, Picture
 
 GOOD, NEAR, BROKEN, DIM, LIT = "green", "yellow", "bold red", "dim", "bold reverse"
 NEAR_SHARE = 0.2

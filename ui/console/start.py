@@ -11,8 +11,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from m3r_app.live import Live
-from modalities.own_voice import OwnVoice
+from m3r_app.run_thread import Live
+from modalities.voice.self_speech import OwnVoice
 from ui.console.app import KEPT_EVENTS, Console
 from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal

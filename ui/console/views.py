@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from modalities.gestures import Hand
+    from modalities.hands.gestures import Hand
     from ui.console.drawing import Drawing, Stroke, Window
 
     Floats = NDArray[np.float64]

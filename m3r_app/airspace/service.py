@@ -1,0 +1,189 @@
+"""`m3r airspace`: the one authority of an area, over the broker. The decisions are `authority`'s; here are its ears and mouth.
+
+It hears itself: if nothing of its own comes back, nothing runs out until it does (nobody could renew). If it hears another one
+of its area, it ends, since two would each grant. For its first seconds it only renews what it remembers. Source: X10, P1.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import time
+from collections.abc import Callable
+
+from m3r_app.airspace import authority
+from m3r_app.airspace.authority import CLAIM_S, Authority, Verdict
+from m3r_app.airspace.credentials import AirError, Broker, Credentials
+from m3r_app.airspace.messages import (
+    Answer,
+    AskBody,
+    Capsule,
+    Claim,
+    Free,
+    GiveUp,
+    Held,
+    HeldClaim,
+    HeldVolume,
+    Reserve,
+)
+from m3r_app.airspace.signed_channel import Exchange, Received
+from m3r_app.airspace.store import Store
+from m3r_app.airspace.topics import ROOT, AnswerTopic, AskTopic, HeldTopic
+from safety.frames import LocalFrame
+from safety.vocabulary import Geodetic
+
+HEARTBEAT_S = 0.5
+LISTEN_S = 1.0
+"""So long after the start it only listens and renews: another authority would be heard by then."""
+AWAY_S = 1.2
+EARTH = LocalFrame(Geodetic(0.0, 0.0, 0.0))
+"""Any frame does: it is a rotation and a shift, so distances in it are those in space."""
+
+
+class AirspaceService:
+    """One area's authority, from `run` until that is cancelled or fails."""
+
+    def __init__(
+        self,
+        broker: Broker,
+        credentials: Credentials,
+        store: Store,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._area = credentials.area
+        self._user = credentials.user
+        self._store = store
+        self._say = say
+        self._clock = clock
+        self._epoch = secrets.token_hex(8)
+        self._exchange = Exchange(broker, credentials, self._take, say, clock, wall_clock)
+        self._authority = Authority()
+        self._began_at_s = math.inf
+        """When it was first connected."""
+        self._heard_at_s = clock()
+        self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve. ready: called once it grants. Raises AirError when it cannot, or must not, go on."""
+        self._store.load(EARTH, self._clock())  # what is wrong with it is told before anything else
+        self._exchange.listen((f"{ROOT}/ask/{self._area}/+/+", str(HeldTopic(self._area))))
+        link = asyncio.create_task(self._exchange.link.run())
+        beat = asyncio.create_task(self._heartbeat(ready))
+        try:
+            await self._exchange.link.open()
+            self._began_at_s = self._heard_at_s = self._clock()
+            self._authority = self._store.load(EARTH, self._began_at_s)
+            await asyncio.wait({beat, link, self._failed}, return_when=asyncio.FIRST_COMPLETED)
+            for one in (self._failed, beat, link):
+                if one.done():
+                    one.result()
+        finally:
+            for task in (link, beat):
+                task.cancel()
+            await asyncio.gather(link, beat, return_exceptions=True)
+            self._store.close()
+
+    @property
+    def _listening(self) -> bool:
+        return not self._clock() - self._began_at_s >= LISTEN_S
+
+    async def _heartbeat(self, ready: Callable[[], None]) -> None:
+        said = False
+        while True:
+            if self._listening:
+                self._exchange.link.echoed()  # nothing was sent that could come back
+            elif self._exchange.link.up:
+                self._tell()
+            if not said and self._exchange.link.up and not self._listening:
+                said = True
+                ready()
+            await asyncio.sleep(0.1 if self._listening else HEARTBEAT_S)
+
+    def _tell(self) -> None:
+        """All that is held, to everybody."""
+        now_s = self._clock()
+        if now_s - self._heard_at_s <= AWAY_S:  # nothing runs out while nobody can be heard
+            self._authority = authority.current(self._authority, now_s)
+        a = self._authority
+        held = Held(
+            epoch=self._epoch,
+            claims=[
+                HeldClaim(
+                    drone=drone,
+                    operator=claim.operator,
+                    fence=claim.fence,
+                    lasts_s=min(max(0.0, claim.until_s - now_s), CLAIM_S),
+                    wanted_by=a.waiting[drone].operator if drone in a.waiting else None,
+                )
+                for drone, claim in a.claims.items()
+            ],
+            volumes=[
+                HeldVolume(drone=v.drone, lease=k, fence=v.fence, volume=Capsule.of(v.volume, EARTH, now_s))
+                for k, v in a.volumes.items()
+            ],
+        )
+        self._exchange.send(HeldTopic(self._area), held, self._user)
+
+    def _take(self, received: Received) -> None:
+        match received.topic, received.body:
+            case HeldTopic(), Held() if received.own:
+                now_s = self._clock()
+                away_s = now_s - self._heard_at_s
+                if away_s > AWAY_S:
+                    self._authority = authority.resumed(self._authority, away_s)
+                self._heard_at_s = now_s
+            case HeldTopic(), Held() as held if held.epoch != self._epoch:
+                self._fail(f"another airspace authority of {self._area} is at work: there may be only one")
+            case AskTopic() as topic, AskBody() as body:
+                inbox = AnswerTopic(topic.operator, body.inbox)
+                if received.answer_topic != str(inbox) or received.correlation != bytes.fromhex(body.id):
+                    return
+                if self._clock() - self._heard_at_s > AWAY_S:
+                    return  # first hear ourselves again
+                self._answer(topic, body, inbox)
+            case _:
+                pass
+
+    def _answer(self, topic: AskTopic, body: AskBody, inbox: AnswerTopic) -> None:
+        before = self._authority
+        after, verdict = self._decide(before, topic, body)
+        try:
+            self._store.save(after, EARTH)
+        except AirError as error:
+            self._fail(str(error))
+            return
+        self._authority = after
+        answer = Answer(
+            id=body.id,
+            granted=verdict.granted,
+            fence=verdict.fence,
+            lasts_s=max(0.0, verdict.lasts_s),
+            reason=verdict.reason,
+        )
+        self._exchange.send(inbox, answer, self._user, qos=1, correlation=bytes.fromhex(body.id))
+        if not self._listening and (before.volumes != after.volumes or before.claims.keys() != after.claims.keys()):
+            self._tell()
+        if verdict.granted and isinstance(body.ask, Claim) and body.ask.fence is None:
+            self._say(f"{topic.operator} has {topic.drone} (no. {verdict.fence})")
+
+    def _decide(self, a: Authority, topic: AskTopic, body: AskBody) -> tuple[Authority, Verdict]:
+        now_s = self._clock()
+        match body.ask:
+            case Claim(fence=None) | Reserve() if self._listening:
+                return a, authority.no("the airspace authority has just started: ask again in a moment")
+            case Claim(fence=fence):
+                return authority.claim(a, topic.drone, topic.operator, body.inbox, fence, now_s)
+            case GiveUp():
+                return authority.give_up(a, topic.drone, body.inbox, now_s)
+            case Reserve() as ask:
+                volume = ask.volume.reserved(topic.drone, EARTH, now_s)
+                return authority.reserve(a, topic.drone, body.inbox, ask.fence, ask.lease, volume, now_s)
+            case Free() as ask:
+                return authority.free(a, topic.drone, body.inbox, ask.lease, now_s)
+
+    def _fail(self, why: str) -> None:
+        if not self._failed.done():
+            self._failed.set_exception(AirError(why))

@@ -1,0 +1,111 @@
+"""A step of the arbiter in progress: the state so far, the effects so far, and the few words by which they change.
+
+Source: design "Functional core", 2 (motion has stopped, the anchor is there); the transitions are the table in `modes`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from m3r_app.arbiter import reports
+from m3r_app.events import Announce, ArbiterState, Effect, Session
+from m3r_app.modes import Cause, next_state
+from safety.situation import Situation
+from safety.vocabulary import Anchor, VehicleState
+
+REST_M_S = 0.1
+"""Slower than this, motion has stopped (design 2)."""
+FACING_TOLERANCE_DEG = 5.0
+RECHECK_S = 0.1
+"""What is judged again and again while the drone hovers is judged this often."""
+
+
+class Step:
+    """What the modules of the arbiter hand to one another: they read `state`, and change it by these words only."""
+
+    def __init__(self, state: ArbiterState, now_s: float) -> None:
+        self.state = state
+        self.now_s = now_s
+        self.effects: list[Effect] = []
+
+    # ------------------------------------------------------------ what changes
+
+    def be(self, **changes: object) -> None:
+        """Change some fields of the state."""
+        self.state = self.state.but(**changes)
+
+    def do(self, effect: Effect) -> None:
+        """Have the shell do this, after all that came before."""
+        self.effects.append(effect)
+
+    def can(self, cause: Cause) -> bool:
+        return next_state(self.state.state, cause) is not None
+
+    def go(self, cause: Cause) -> None:
+        """Take the table's transition; without one, stay."""
+        previous, to = self.state.state, next_state(self.state.state, cause)
+        if to is not None:
+            self.be(state=to)
+            self.do(reports.mode(previous, to, cause))
+
+    def settle(self, cause: Cause) -> None:
+        """Go where the end of the motion is waited for."""
+        self.be(settling_since_s=self.now_s)
+        self.go(cause)
+
+    def anchor_here(self, vehicle: VehicleState) -> None:
+        anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
+        self.be(session=replace(self.session, anchor=anchor))
+
+    def tell(self, text: str) -> None:
+        """Tell the operator, in the name of the session's drone."""
+        colour = self.session.colour.capitalize() if self.state.session else "No drone"
+        self.do(Announce(f"{colour}: {text}"))
+
+    def count(self, what: str) -> None:
+        """One more of this field of the tally."""
+        tally = self.state.tally
+        self.be(tally=replace(tally, **{what: getattr(tally, what) + 1}))
+
+    # ------------------------------------------------------------ what is known
+
+    @property
+    def session(self) -> Session:
+        if self.state.session is None:
+            raise RuntimeError("no session")
+        return self.state.session
+
+    @property
+    def vehicle(self) -> VehicleState:
+        if self.state.vehicle is None:
+            raise RuntimeError("no telemetry")
+        return self.state.vehicle
+
+    @property
+    def hears(self) -> bool:
+        """Whether telemetry is fresh. Source: X6."""
+        vehicle = self.state.vehicle
+        return vehicle is not None and self.now_s - vehicle.at_s <= self.state.limits.telemetry_age_s
+
+    def at_rest(self, vehicle: VehicleState) -> bool:
+        """Whether motion has stopped at a known place (design 2)."""
+        return self.state.speed_m_s < REST_M_S and vehicle.position.finite and math.isfinite(vehicle.yaw_deg)
+
+    def situation(self) -> Situation | None:
+        """What is known now; None before the first anchor or telemetry."""
+        s, session = self.state, self.state.session
+        if session is None or session.anchor is None or session.centre is None or s.vehicle is None:
+            return None
+        return Situation(
+            self.now_s,
+            s.vehicle,
+            session.operator,
+            session.anchor,
+            session.centre,
+            session.paired_at_s,
+            s.neighbours,
+            s.reservations,
+            session.world,
+            s.authority,
+        )

@@ -1,0 +1,158 @@
+"""What is being flown: how it begins, is measured, is completed or dropped, and what STOP leaves of it.
+
+Source: R8 (duration), R9 (what is measured), X7, X12, X13; paper III-C (Execute), design 2, 7.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+from m3r_app.arbiter import reports, wording
+from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, REST_M_S, Step
+from m3r_app.events import Flight, Fly, Hold, Leftover, Release
+from m3r_app.modes import Cause, State
+from safety.confidence import unfit_to_fly
+from safety.frames import wrap_deg
+from safety.monitor import Watch, watch
+from safety.planner import full_speed_m_s
+from safety.situation import Situation
+from safety.supervisor import FULL_TURN_DEG
+from safety.vocabulary import Finding, Ned, Plan, Primitive, VehicleState
+
+ARRIVED_M = 0.1
+CLOSE_ENOUGH_M = 0.3
+"""In wind a drone may rest this far off; it has arrived if it has come no nearer for LINGER_S."""
+LINGER_S = 2.0
+ENGAGING_S = 1.0
+"""So long the autopilot may take to enter Offboard and say so."""
+RETURN_ID = "return"
+"""The way back that nobody asked for flies under this id, and is not counted among the requests."""
+UNHEARD = "nothing was heard from it for a moment"
+
+
+def begin(run: Step, request_id: str, plan: Plan, situation: Situation, findings: tuple[Finding, ...]) -> None:
+    """Fly the plan. What it breaks from the start, by its findings, it may only mend. Source: X13."""
+    run.go(Cause.RETURN_APPROVED if plan.primitive is Primitive.RETURN else Cause.VOLUME_GRANTED)
+    s, vehicle = run.state, situation.vehicle
+    mending = {f.constraint for f in findings if f.margin is not None and f.margin < 0.0}
+    seen = watch(situation, plan, 0.0, s.speed_m_s, {}, s.limits, s.rules)
+    baseline = {key: margin for key, margin in seen.negative.items() if key[1] in mending}
+    flight = Flight(request_id, plan, run.now_s, vehicle.position, vehicle.yaw_deg, baseline)
+    run.be(flight=flight)
+    run.do(Fly(plan))
+    run.do(reports.motion(flight, "started", Ned(0.0, 0.0, 0.0)))
+
+
+def measure(run: Step, vehicle: VehicleState) -> None:
+    """How far it has turned and how fast it has been."""
+    flight = run.state.flight
+    if flight is None:
+        return
+    measured = replace(
+        flight.measured,
+        yaw_deg=flight.measured.yaw_deg + wrap_deg(vehicle.yaw_deg - flight.last_yaw_deg),
+        max_speed_m_s=max(flight.measured.max_speed_m_s, run.state.speed_m_s),
+    )
+    run.be(flight=replace(flight, measured=measured, last_yaw_deg=vehicle.yaw_deg))
+
+
+def measure_distances(run: Step, flight: Flight, seen: Watch) -> None:
+    """How near it has come to what stands around and to others."""
+    measured = replace(
+        flight.measured,
+        min_clearance_m=_least(flight.measured.min_clearance_m, seen.clearance_m),
+        min_separation_m=_least(flight.measured.min_separation_m, seen.separation_m),
+    )
+    run.be(flight=replace(flight, measured=measured))
+
+
+def _least(a: float | None, b: float | None) -> float | None:
+    if a is None or b is None:
+        return a if b is None else b
+    return min(a, b)
+
+
+def arrive(run: Step, vehicle: VehicleState) -> None:
+    """Completed once its time is over and it rests at the goal, facing as planned: the new anchor is there."""
+    flight = run.state.flight
+    if flight is None:
+        return
+    plan, elapsed_s = flight.plan, run.now_s - flight.started_at_s
+    facing = abs(wrap_deg(vehicle.yaw_deg - plan.yaw_deg(plan.duration_s))) <= FACING_TOLERANCE_DEG
+    off_m = vehicle.position.minus(plan.goal).norm
+    lingers = elapsed_s >= plan.duration_s + LINGER_S and off_m <= CLOSE_ENOUGH_M
+    there = off_m <= ARRIVED_M or lingers
+    if not (elapsed_s >= plan.duration_s and there and facing and run.state.speed_m_s < REST_M_S):
+        return
+    returning = run.state.state is State.RETURN_TO_ANCHOR
+    end(run, "completed")
+    if not returning:
+        run.anchor_here(vehicle)
+    run.go(Cause.RETURNED if returning else Cause.COMPLETED)
+    what = wording.WORD_OF[plan.primitive]
+    moved_m = vehicle.position.minus(flight.origin).norm
+    run.tell(f"{what} done" if plan.primitive.is_scan else f"{what} done, {moved_m:.2f} m")
+
+
+def end(run: Step, status: Literal["completed", "aborted"]) -> None:
+    """Nothing is flown any more; the airspace is given back."""
+    flight = run.state.flight
+    if flight is None:
+        return
+    run.do(reports.motion(flight, status, run.vehicle.position.minus(flight.origin)))
+    run.do(Release(flight.request_id))
+    if flight.request_id != RETURN_ID:
+        run.count(status)
+    run.be(flight=None)
+
+
+def trouble(run: Step, vehicle: VehicleState, last: VehicleState | None) -> str | None:
+    """Why what is being flown must be dropped, although no limit is broken; None: it need not. Source: X7, X8, design 4."""
+    flight, limits = run.state.flight, run.state.limits
+    if flight is None:
+        return None
+    if last is not None and not vehicle.at_s - last.at_s <= limits.telemetry_age_s:
+        return UNHEARD
+    if vehicle.flight_mode != "OFFBOARD" and run.now_s - flight.started_at_s > ENGAGING_S:
+        return f"the autopilot left offboard for {vehicle.flight_mode}"
+    return unfit_to_fly(vehicle, limits)
+
+
+def drop(run: Step, why: str) -> None:
+    """After any stall or link gap the rest of a plan is dropped and asked for anew. Source: X7."""
+    if run.state.flight is None:
+        return
+    run.do(Hold("stalled"))
+    end(run, "aborted")
+    run.settle(Cause.STALLED)
+    run.tell(f"holding, {why}; ask again")
+
+
+def overdue(run: Step) -> None:
+    """No telemetry comes that could tell it."""
+    if not run.hears:
+        drop(run, UNHEARD)
+
+
+def leftover(run: Step) -> Leftover | None:
+    """What the plan being flown still had to go, by what was measured. Source: X12."""
+    flight, vehicle, limits = run.state.flight, run.state.vehicle, run.state.limits
+    if flight is None:
+        return run.state.leftover
+    plan = flight.plan
+    if vehicle is None or plan.primitive is Primitive.RETURN:
+        return None
+    if plan.primitive.is_scan:
+        turned_deg = math.copysign(flight.measured.yaw_deg, flight.measured.yaw_deg * plan.turn_deg)
+        left_deg = min(abs(plan.turn_deg), FULL_TURN_DEG) - turned_deg
+        if not left_deg > FACING_TOLERANCE_DEG:
+            return None
+        return Leftover(plan.primitive, min(left_deg, FULL_TURN_DEG), run.now_s)
+    moved, d = vehicle.position.minus(plan.start), plan.direction
+    left_m = plan.length_m - (moved.north * d.north + moved.east * d.east + moved.down * d.down)
+    if not left_m >= limits.shortest_m:
+        return None
+    slowness = full_speed_m_s(plan.primitive, limits) / plan.move.speed
+    return Leftover(plan.primitive, min(left_m, plan.length_m), run.now_s, slowness)

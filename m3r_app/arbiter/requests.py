@@ -1,0 +1,163 @@
+"""What a request does the moment it is made: it stops, pairs, confirms, contradicts, or interrupts what runs to be judged.
+
+Source: X4, X5, X6, X14; paper III-C (request), design 2, 5, 6.
+"""
+
+from __future__ import annotations
+
+import math
+
+from m3r_app.arbiter import decisions as deciding
+from m3r_app.arbiter import execution as flying
+from m3r_app.arbiter import reports, sessions
+from m3r_app.arbiter.context import REST_M_S, Step
+from m3r_app.arbiter.decisions import refuse, unmet
+from m3r_app.arbiter.fusion import Relation, fused, relate
+from m3r_app.arbiter.wording import asked
+from m3r_app.events import Hold, Requested
+from m3r_app.modes import Cause, State
+from safety.confidence import input_confidence
+from safety.vocabulary import Command, Finding, ManeuverRequest
+
+STOPPED = "the operator said stop"
+STALE_REQUEST_S = 5.0
+"""What was said or shown longer ago than this is asked anew (X6)."""
+SETTLING_TIMEOUT_S = 10.0
+"""A request that waits for the drone to come to rest is refused after this."""
+NO_MANEUVER = frozenset({Command.STOP, Command.ACTIVATE, Command.DISCONNECT})
+"""These neither confirm nor contradict."""
+
+
+def requested(run: Step, event: Requested) -> None:
+    """Report the request and do what it asks, or say why not. STOP's hold has been commanded before."""
+    request = event.request
+    relation, other = Relation.NEW, None
+    late = too_late(run, request)
+    if request.command not in NO_MANEUVER and late is None:
+        limits = run.state.limits
+        relation, other = relate(
+            request, run.state.recent, limits.fusion_window_s, lambda r: input_confidence(r, limits).passed
+        )
+    if relation is Relation.CONFIRMS and other is not None:
+        request = fused(request, other.request, request.id if other.refused else other.request.id)
+    run.do(reports.request(request, event.latency_ms))
+    run.count("requests")
+    match request.command:
+        case Command.STOP:
+            stop(run, request)
+        case Command.ACTIVATE | Command.DISCONNECT:
+            pair_or_part(run, request)
+        case _ if run.state.session is None or run.state.session.anchor is None:
+            refuse(run, request, unmet("paired", ("P1", "R1"), "no drone is paired"))
+        case _ if late is not None:
+            refuse(run, request, late)
+        case _ if relation is Relation.CONFIRMS and other is not None and not other.refused:
+            confirm(run, request)
+        case _ if relation is Relation.CONTRADICTS and other is not None:
+            contradict(run, request, other.request)
+        case _:
+            maneuver(run, request)
+
+
+def too_late(run: Step, request: ManeuverRequest) -> Finding | None:
+    """What was asked long ago, or before STOP, is no request of now. Source: X4, X6."""
+    age_s = abs(run.now_s - request.captured_at_s)
+    if not age_s <= STALE_REQUEST_S:
+        old = f"{age_s:.0f} s ago" if math.isfinite(age_s) else "at an unknown time"
+        return unmet("input_confidence", ("R11", "X6"), f"it was asked {old}; ask again")
+    if request.captured_at_s < run.state.stopped_at_s:
+        return unmet("contradiction", ("X4",), "it was asked before stop")
+    return None
+
+
+def stop(run: Step, request: ManeuverRequest) -> None:
+    """X4: the hold has been commanded; now the rest. What was asked before can neither be confirmed nor contradicted."""
+    # min() keeps its first argument where the second is NaN.
+    stopped_at_s = max(run.state.stopped_at_s, min(run.now_s, request.captured_at_s))
+    run.be(stopped_at_s=stopped_at_s, recent=())
+    if run.state.state in (State.PAIRING, State.FACING):
+        sessions.call_off_pairing(run, STOPPED)
+        return
+    if not run.state.authority:
+        run.tell("nothing to hold, this app has no authority over a drone")
+        return
+    deciding.withdraw(run, STOPPED, "X4")
+    run.be(leftover=flying.leftover(run), return_at_s=None, may_return=False)
+    flying.end(run, "aborted")
+    if run.can(Cause.STOP):
+        run.settle(Cause.STOP)
+    run.tell("holding")
+
+
+def pair_or_part(run: Step, request: ManeuverRequest) -> None:
+    """ACTIVATE or DISCONNECT, which need confidence as a move does. Source: R11, G1, X6."""
+    found = input_confidence(request, run.state.limits)
+    doubt = found if not found.passed else too_late(run, request)
+    if request.command is Command.ACTIVATE:
+        sessions.activate(run, request.colour or "", doubt)
+    elif doubt is not None:
+        run.tell(f"not disconnected, {doubt.text}")
+    else:
+        sessions.disconnect(run, request)
+
+
+def confirm(run: Step, request: ManeuverRequest) -> None:
+    """It confirms what is already decided, flying or flown; what still waits is now asked for by both. Source: X5."""
+    deciding.remember(run, request)
+    pending = run.state.pending
+    if pending is not None and pending.id == request.id:
+        run.be(pending=request)
+
+
+def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> None:
+    """X5: what runs is aborted, both are refused."""
+    why = f"{request.modality} says {asked(request)} but {first.modality} said {asked(first)}"
+    if run.state.flight is not None:
+        run.do(Hold("contradiction"))
+    deciding.withdraw(run, why, "X5")
+    run.be(leftover=None, return_at_s=None, may_return=False)
+    flying.end(run, "aborted")
+    if run.can(Cause.CONTRADICTED):
+        run.settle(Cause.CONTRADICTED)
+    refuse(run, request, unmet("contradiction", ("X5",), why))
+
+
+def maneuver(run: Step, request: ManeuverRequest) -> None:
+    """A move, turn or continue: interrupt what runs (X14), then evaluate."""
+    deciding.remember(run, request)
+    if request.command is not Command.CONTINUE:
+        run.be(leftover=None)
+    deciding.withdraw(run, "a newer request came first", "X14")
+    if run.state.state in (State.ARMED, State.EMERGENCY_HOLD):
+        deciding.evaluate(run, request)
+        return
+    if run.state.flight is not None:
+        run.do(Hold("interrupted"))
+        flying.end(run, "aborted")
+    if run.can(Cause.INTERRUPTED):
+        run.settle(Cause.INTERRUPTED)
+    run.be(pending=request)
+    come_to_rest(run)
+
+
+def come_to_rest(run: Step) -> None:
+    """Design 2: the new anchor is where the motion has stopped; then what waited is evaluated."""
+    vehicle, pending = run.state.vehicle, run.state.pending
+    fresh = vehicle is not None and vehicle.at_s >= run.state.settling_since_s
+    if run.state.state is not State.SETTLING or vehicle is None or not fresh:
+        return
+    if not (run.at_rest(vehicle) and vehicle.velocity.norm < REST_M_S):
+        return
+    run.anchor_here(vehicle)
+    run.go(Cause.SETTLED)
+    if pending is not None:
+        run.be(pending=None)
+        deciding.evaluate(run, pending)
+
+
+def overdue(run: Step) -> None:
+    """The drone does not come to rest."""
+    pending = run.state.pending
+    if pending is not None and run.now_s - run.state.settling_since_s > SETTLING_TIMEOUT_S:
+        run.be(pending=None)
+        refuse(run, pending, unmet("envelope", ("R8",), f"it has not come to rest for {SETTLING_TIMEOUT_S:.0f} s"))

@@ -1,0 +1,1 @@
+"""What stands still about a flight: the scenario, terrain, obstacles and fence."""

@@ -1,0 +1,114 @@
+"""The flight live in 3D: the record's own views over Foxglove's WebSocket protocol, on loopback, to be looked at only.
+
+A thread of its own takes messages from a bounded queue, so that no viewer, however slow, is felt by the flight; the server
+drops what a viewer does not take. It advertises no capability: nothing that a viewer sends is listened to.
+Source: Foxglove's WebSocket protocol, foxglove-sdk.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import foxglove
+
+from m3r_app.plain import plain
+from m3r_app.ports import require_free
+from m3r_app.record.foxglove_scene import SCENE_TOPICS, Scene
+from m3r_app.record.foxglove_schemas import SCHEMAS
+from m3r_app.record.foxglove_views import views
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+HOST = "127.0.0.1"
+QUEUE_LENGTH = 1000
+AGAIN_S = 3.0
+LASTING = ("stage", "anchor", "plan")
+"""What is shown again this often, for whoever comes late: the latest of each."""
+CLOSE_S = 5.0
+PER_VIEWER = 256
+"""Messages that a slow viewer may be behind, before the oldest is dropped."""
+
+
+class Viewer:
+    """Shows one run. `record` is the recorder's: thread-safe, never blocks."""
+
+    def __init__(self, port: int) -> None:
+        """Open the port on loopback. Raises LinkError where somebody else holds it."""
+        import socket
+
+        require_free(HOST, port, socket.SOCK_STREAM, "choose another with --view")
+        foxglove.set_log_level("ERROR")
+        self._context = foxglove.Context()
+        self._server = foxglove.start_server(
+            name="m3r", host=HOST, port=port, capabilities=[], context=self._context, message_backlog_size=PER_VIEWER
+        )
+        self.dropped = 0
+        self._scene = Scene()
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._lasting: dict[str, tuple[float, Mapping[str, object]]] = {}
+        for name in SCENE_TOPICS:
+            self._channel(f"scene/{name}", "foxglove.SceneUpdate")  # or its first message would find nobody subscribed
+        self._queue: queue.Queue[tuple[str, float, int, Mapping[str, object]] | None] = queue.Queue(QUEUE_LENGTH)
+        self._thread = threading.Thread(target=self._run, name="m3r-viewer", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """What to open in a viewer."""
+        return f"ws://{HOST}:{self._server.port}"
+
+    def record(self, topic: str, t_s: float, data: Mapping[str, object]) -> None:
+        """Queue one message; when the queue is full, it is the one that is dropped."""
+        try:
+            self._queue.put_nowait((topic, t_s, time.time_ns(), data))
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Let all viewers go."""
+        try:
+            self._queue.put(None, timeout=CLOSE_S)
+        except queue.Full:
+            return  # its thread is stuck, and dies with the process
+        self._thread.join(CLOSE_S)
+        self._server.stop()
+
+    def _run(self) -> None:
+        shown_s = time.monotonic()
+        while True:
+            try:
+                item = self._queue.get(timeout=AGAIN_S)
+            except queue.Empty:
+                pass
+            else:
+                if item is None:
+                    return
+                topic, t_s, log_ns, data = item
+                if topic in LASTING:
+                    self._lasting[topic] = t_s, data
+                self._show(topic, t_s, log_ns, data)
+            if time.monotonic() - shown_s >= AGAIN_S:
+                shown_s = time.monotonic()
+                for topic, (t_s, data) in self._lasting.items():
+                    self._show(topic, t_s, time.time_ns(), data)
+
+    def _show(self, topic: str, t_s: float, log_ns: int, data: Mapping[str, object]) -> None:
+        message = plain(dict(data), lossless=True) | {"t": t_s}
+        for view in (*views(topic, message, log_ns), *self._scene.views(topic, message, log_ns)):
+            self._channel(view.topic, view.schema).log(
+                json.dumps(view.message, allow_nan=False).encode(), log_time=log_ns
+            )
+
+    def _channel(self, topic: str, schema_name: str) -> foxglove.Channel:
+        channel = self._channels.get(topic)
+        if channel is None:
+            text = json.dumps(SCHEMAS[schema_name]).encode()
+            schema = foxglove.Schema(name=schema_name, encoding="jsonschema", data=text)
+            channel = foxglove.Channel(f"/view/{topic}", schema=schema, message_encoding="json", context=self._context)
+            self._channels[topic] = channel
+        return channel

@@ -1,0 +1,442 @@
+"""One run of M3R: everything heavy first, then the fleet, pairing, inputs, and an orderly end.
+
+`run` is what the command line calls. Source: design "Command line", "Motion" (everything heavy loads before pairing).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import AsyncExitStack
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from m3r_app.airspace.local import Airspace, LocalAirspace
+from m3r_app.environment.static_scene import stage_of
+from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
+from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
+from m3r_app.modes import State
+from m3r_app.options import RunOptions
+from m3r_app.pairing import PairingLimits, objections
+from m3r_app.plain import plain
+from m3r_app.recorder import Recorder
+from m3r_app.run_setup import Setting, prepare
+from m3r_app.runtime import Recording, Shell, request_event
+from m3r_app.snapshot import Taken
+from m3r_app.takeoff_landing import GroundWork
+from m3r_app.vehicle import px4_failsafe as failsafe
+from m3r_app.vehicle.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.vehicle.guard import Guard
+from m3r_app.vehicle.mavsdk_vehicle import VehicleError
+from modalities.hands.gestures import Hand
+from modalities.voice.push_to_talk import PushToTalk
+from modalities.voice.self_speech import OwnVoice
+from safety.vocabulary import Command, ManeuverRequest
+
+if TYPE_CHECKING:
+    from m3r_app.record.foxglove_server import Viewer
+
+INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
+"""Exit statuses of the contract; the highest that applies."""
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals after which the drone is left in Hold and the run ends."""
+LOST_S = 5.0
+HELD_S = 5.0
+"""So long in EmergencyHold without an approved way back, the drone rests."""
+SETTLE_S = 10.0
+LAST_HOLD_S = 3.0
+T = TypeVar("T")
+Emit = Callable[[dict[str, object]], None]
+
+
+class NoPairing(Exception):  # noqa: N818  (it is an end, not an error)
+    """The drone that the run depends on was not paired; the reasons have been said."""
+
+
+class VehicleLost(Exception):  # noqa: N818
+    """The paired drone fell silent."""
+
+
+async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> int:
+    """Fly one run; returns the exit status. `emit` takes the objects of the machine-readable output.
+
+    own_voice: when whoever speaks for us did, by `time.monotonic`; a live microphone hears it too.
+    Raises what names bad input (ValueError) or a missing vehicle (VehicleError), after the `end` object.
+    """
+    one = Run(options, emit, own_voice)
+    loop = asyncio.get_running_loop()
+    for name in ENDING:
+        loop.add_signal_handler(name, one.interrupted.set)
+    # Suspended, it could not fly on: the guard would end it.
+    loop.add_signal_handler(signal.SIGTSTP, one.refuse_to_suspend)
+    try:
+        return await one.whole()
+    finally:
+        for name in (*ENDING, signal.SIGTSTP):
+            loop.remove_signal_handler(name)
+
+
+class Run:
+    """The life of one run, in the event loop that it is made in. `interrupted` ends it in order; `run` has signals do that."""
+
+    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
+        self.options = options
+        self.setting: Setting | None = None
+        """Once it is known."""
+        self.talk: PushToTalk | None = None
+        """What opens the microphone, where it is the console that does."""
+        self.senses = Taken()
+        """What the modalities take in."""
+        self._own_voice = own_voice
+        self.clock = time.monotonic
+        self.started_s = self.clock()
+        self._loop = asyncio.get_running_loop()
+        self.interrupted = asyncio.Event()
+        self.quitted = asyncio.Event()
+        """The operator at the console has had enough: a normal end."""
+        self._emit = emit
+        self._sinks: list[Recorder | Viewer] = []
+        self.shell: Shell | None = None
+        self.ground: GroundWork | None = None
+        """What takes off and lands, once there is a fleet."""
+
+    # ------------------------------------------------------------ output
+
+    def emit(self, event: str, fields: dict[str, object]) -> None:
+        """One object of the output, also recorded."""
+        now_s = self.clock()
+        self.record(event, now_s, fields)
+        self._emit({"t": round(now_s - self.started_s, 3), "event": event, **plain(fields, lossless=False)})
+
+    def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
+        for sink in self._sinks:
+            sink.record(topic, t_s - self.started_s, data)
+
+    def take(self, request: ManeuverRequest) -> None:
+        """A request of any modality. STOP also ends a take-off or landing, which are no maneuvers. Source: X4."""
+        if self.shell is None:
+            return
+        if self.ground is not None and request.command is Command.STOP:
+            self.ground.stop()
+        self.shell.inbox.put(request_event(request))
+
+    def refuse_to_suspend(self) -> None:
+        self.emit("announce", {"text": "a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C"})
+
+    # ------------------------------------------------------------ the whole
+
+    async def whole(self) -> int:
+        """Everything, raced against the interrupt and the time-out; always ends with `end`."""
+        reason = "error"
+        failure: Exception | None = None
+        body = asyncio.create_task(self._body())
+        stop = asyncio.create_task(self.interrupted.wait())
+        try:
+            done, _ = await asyncio.wait(
+                {body, stop}, timeout=self.options.timeout_s, return_when=asyncio.FIRST_COMPLETED
+            )
+            if body in done:
+                reason = body.result()
+            else:
+                reason = "interrupted" if stop in done else "timeout"
+        except VehicleLost:
+            reason = "vehicle_lost"
+        except NoPairing:
+            reason = "error"
+        except VehicleError as error:
+            reason, failure = "vehicle_lost", error
+        except Exception as error:  # noqa: BLE001  (the end object must come whatever happened)
+            failure = error
+        finally:
+            stop.cancel()
+            body.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await body
+        no_vehicle = reason == "vehicle_lost" or (reason == "error" and failure is None)
+        return self._end(reason, failure, no_vehicle=no_vehicle)
+
+    def _end(self, reason: str, failure: Exception | None, *, no_vehicle: bool) -> int:
+        """The last object, the record closed, and the highest status that applies. Raises `failure` if nothing is higher."""
+        tally = self.shell.state.tally if self.shell is not None else Tally()
+        self.emit("end", {"reason": reason, **plain(tally, lossless=False)})
+        for sink in self._sinks:
+            sink.close()
+        if reason == "interrupted":
+            return INTERRUPTED
+        if tally.violations:
+            return VIOLATED
+        if failure is not None:
+            raise failure
+        return NO_VEHICLE if no_vehicle else ENDED
+
+    async def _body(self) -> str:
+        async with AsyncExitStack() as stack:
+            setting = self.setting = await _in_thread(lambda: prepare(self.options))
+            inputs = await _in_thread(
+                lambda: open_inputs(
+                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._own_voice
+                )
+            )
+            stack.callback(inputs.close)
+            self.talk = inputs.talk
+            for sentence in inputs.sentences:
+                self.emit("announce", {"text": sentence})
+            await _in_thread(lambda: self._open_sinks(setting, inputs))
+            self.record("stage", self.clock(), stage_of(setting))
+            fleet = await self._connect(setting, stack)
+            guard = Guard(self._say_soon)
+            guard.start()
+            stack.callback(guard.close)
+            airspace = await self._airspace(setting, fleet, stack)
+            shell = self.shell = self._shell(setting, fleet, guard, airspace)
+            self.ground = GroundWork(shell, lambda text: self.emit("announce", {"text": text}))
+            stack.push_async_callback(shell.close)
+            stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
+            async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
+                playing = asyncio.create_task(self._play(shell, inputs))
+                background.add(playing)
+                done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()
+                await shell.leave_in_hold(LAST_HOLD_S)
+        return "inputs_played"
+
+    # ------------------------------------------------------------ before flying
+
+    def _open_sinks(self, setting: Setting, inputs: Inputs) -> None:
+        """The record and the live view, as asked for."""
+        if self.options.view_port is not None:
+            from m3r_app.record.foxglove_server import Viewer  # loads Foxglove's library
+
+            viewer = Viewer(self.options.view_port)
+            self._sinks.append(viewer)
+            self._say_soon(f"the flight is shown at {viewer.address}: open that connection in Foxglove")
+        if self.options.record is None:
+            return
+        metadata: dict[str, object] = {
+            "app": version("m3r"),
+            "settings": setting.settings.model_dump(),
+            "scenario": setting.scenario.model_dump(mode="json") if setting.scenario else None,
+            "operator": setting.operator,
+            "origin": setting.frame.origin,
+            "world": setting.world,
+            "models": list(inputs.models),
+        }
+        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon))
+
+    async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
+        if self.options.vehicles:
+            links = Links(dict(self.options.vehicles), {}, complete=False)
+        else:
+            scenario = setting.scenario
+            assert scenario is not None
+            simulated = await SimulatedFleet.start(scenario.path, len(scenario.vehicles) + len(scenario.traffic))
+            stack.push_async_callback(simulated.stop)
+            links = simulated.links
+        fleet = await Fleet.connect(links, self.clock, setting.settings.pairing.answer_s)
+        stack.push_async_callback(fleet.close)
+        await fleet.ready(setting.settings.pairing.answer_s)
+        return fleet
+
+    async def _airspace(self, setting: Setting, fleet: Fleet, stack: AsyncExitStack) -> Airspace:
+        """Alone, or shared over a broker. Raises AirError."""
+        if setting.air is None:
+            return LocalAirspace(self.clock)
+        from m3r_app.airspace.shared import SharedAirspace  # loads the MQTT client
+
+        broker, credentials = setting.air
+        shared = SharedAirspace(broker, credentials, setting.frame, self._say_soon, self.clock)
+        everybody = {**fleet.vehicles, **fleet.others}
+        shared.watch({name: vehicle.telemetry for name, vehicle in everybody.items()})
+        for name, vehicle in everybody.items():
+            vehicle.on_telemetry(partial(shared.teller.telemetry, name))
+        stack.push_async_callback(shared.close)
+        await shared.open()
+        self.emit("announce", {"text": f"sharing the air of {credentials.area} at {broker} as {credentials.name}"})
+        return shared
+
+    def _shell(self, setting: Setting, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
+        settings = setting.settings
+        policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace, self.options.dry_run)
+
+        async def pair(shell: Shell, colour: str) -> None:
+            await self._pair(setting, shell, colour)
+
+        recording: Recording = self
+        return Shell(
+            ArbiterState(setting.limits, policy),
+            fleet,
+            setting.frame,
+            airspace,
+            guard,
+            self.clock,
+            self.emit,
+            recording,
+            pair,
+            declared_empty=settings.neighbours == "none",
+        )
+
+    # ------------------------------------------------------------ pairing
+
+    async def _pair(self, setting: Setting, shell: Shell, colour: str) -> None:
+        """The checks before pairing; the answer goes to the arbiter. Source: X8, design 12."""
+        reasons: tuple[str, ...] = ("pairing was called off",)
+        try:
+            reasons = await self._objections(setting, shell, colour)
+        except VehicleError as error:
+            reasons = (str(error),)
+        finally:
+            if reasons:
+                shell.airspace.give_up(colour)
+        shell.inbox.put(PairingAnswered(colour, reasons, setting.operator, setting.world))
+
+    async def _objections(self, setting: Setting, shell: Shell, colour: str) -> tuple[str, ...]:
+        vehicle = shell.fleet.vehicles.get(colour)
+        if vehicle is None:
+            return (f"there is no such drone; there are {', '.join(shell.fleet.vehicles)}",)
+        if not shell.guard.ready:
+            return ("the guard process is not running, so nothing may be flown",)
+        if setting.operator is None:
+            return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
+        await shell.let_go()
+        held = await shell.airspace.claim(colour, setting.frame.geodetic(setting.operator.position))
+        if held is not None:
+            return (held,)
+        await vehicle.wait_ready(setting.settings.pairing.answer_s)
+        if self.options.takeoff_m is not None and vehicle.telemetry().in_air is False:
+            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff_m:g} m"})
+            await vehicle.takeoff(self.options.takeoff_m)
+        pairing = PairingLimits(setting.settings.pairing.range_m, setting.settings.pairing.operator_sigma_max_m)
+        found = objections(
+            vehicle.telemetry(), setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock()
+        )
+        rc = vehicle.telemetry().rc_present
+        check = failsafe.apply if self.options.apply_failsafe else failsafe.check
+        found += tuple(m.text for m in await check(vehicle, rc))
+        if found:
+            return found
+        await vehicle.hold()
+        await vehicle.wait_for(
+            lambda t: t.flight_mode == "HOLD" and t.velocity is not None and t.velocity.norm < 0.2,
+            SETTLE_S,
+            "coming to rest in Hold",
+        )
+        shell.take_vehicle(vehicle)
+        first = self.clock()
+        await vehicle.wait_for(lambda t: t.at_s > first, SETTLE_S, "fresh telemetry")
+        shell.inbox.put(shell.surroundings(self.clock()))
+        return ()
+
+    # ------------------------------------------------------------ flying
+
+    async def _play(self, shell: Shell, inputs: Inputs) -> None:
+        """Pair if asked to, play what was recorded, wait until the drone rests."""
+        if self.options.pair is not None:
+            shell.inbox.put(PairingAsked(self.options.pair))
+            await self._until(shell, lambda: shell.state.state is not State.IDLE)
+            await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
+            if shell.state.session is None and not self.options.console:
+                raise NoPairing
+        damage = await inputs.play(
+            self.clock,
+            self.take,
+            Senses(self._heard, self._loud, self._seen, self._hands),
+        )
+        if self.options.console:
+            if damage is not None:
+                self.emit("announce", {"text": damage})
+            await self.quitted.wait()
+            return
+        await self._rest(shell)
+        if damage is not None:
+            raise InputError(damage)
+
+    def _heard(self, words: str) -> None:
+        self.record("heard", self.clock(), {"modality": "voice", "words": words})
+        self.senses = replace(self.senses, words=words, words_at_s=self.clock())
+
+    def _seen(self, shown: str) -> None:
+        self.record("seen", self.clock(), {"modality": "gesture", "shown": shown})
+        self.senses = replace(self.senses, shown=shown, shown_at_s=self.clock())
+
+    def _loud(self, level_dbfs: float) -> None:
+        self.senses = replace(self.senses, level_dbfs=level_dbfs, level_at_s=self.clock())
+
+    def _hands(self, hands: Sequence[Hand]) -> None:
+        self.senses = replace(self.senses, hands=tuple(hands), hands_at_s=self.clock())
+
+    async def _rest(self, shell: Shell) -> None:
+        """What was played last has been put into the inbox; wait until it has been taken out and flown."""
+        held_since_s = math.inf
+        while True:
+            if shell.inbox.empty and _rests(shell):
+                return
+            held = shell.state.state is State.EMERGENCY_HOLD and shell.state.return_at_s is None
+            held_since_s = min(held_since_s, self.clock()) if held else math.inf
+            if self.clock() - held_since_s >= HELD_S:
+                return
+            await asyncio.sleep(0.05)
+
+    async def _until(self, shell: Shell, condition: Callable[[], bool]) -> None:
+        while not condition():
+            await shell.changed.wait()
+
+    async def _watch_link(self, shell: Shell) -> None:
+        """Ends the run when the paired drone has been silent for long."""
+        while True:
+            await asyncio.sleep(0.5)
+            vehicle = shell.vehicle
+            if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > LOST_S:
+                self.emit("announce", {"text": f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s"})
+                raise VehicleLost
+
+    def _say_soon(self, sentence: str) -> None:
+        """Announce, from any thread."""
+        with contextlib.suppress(RuntimeError):  # the loop has closed: there is nobody left to tell
+            self._loop.call_soon_threadsafe(lambda: self.emit("announce", {"text": sentence}))
+
+
+async def _in_thread(work: Callable[[], T]) -> T:
+    """The result of blocking work. Its thread dies with the process: a pipe that never ends must not keep us (Ctrl-C)."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def post(settle: Callable[[], None]) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has closed: nobody waits any more
+            loop.call_soon_threadsafe(lambda: None if done.done() else settle())
+
+    def run_it() -> None:
+        try:
+            result = work()
+        except Exception as error:  # noqa: BLE001  (it belongs to whoever waits)
+            raised = error
+            post(lambda: done.set_exception(raised))
+        else:
+            post(lambda: done.set_result(result))
+
+    threading.Thread(target=run_it, name="loading", daemon=True).start()
+    return await done
+
+
+@contextlib.asynccontextmanager
+async def _together(*work: Coroutine[Any, Any, None]) -> AsyncIterator[set[asyncio.Task[None]]]:
+    """Tasks that end with the block."""
+    tasks = {asyncio.create_task(one) for one in work}
+    try:
+        yield tasks
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _rests(shell: Shell) -> bool:
+    """The drone rests: Armed or NormalAutonomy, and nothing is on its way to be decided."""
+    return shell.state.state in (State.ARMED, State.IDLE) and shell.state.pending is None

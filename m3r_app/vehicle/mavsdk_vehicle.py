@@ -1,0 +1,424 @@
+"""One vehicle over MAVSDK 4: telemetry into latest-value slots, position setpoints, modes, parameters.
+
+MAVSDK runs in this process. Its calls are used with their own callbacks and not through `mavsdk.asyncio`, which queues
+every stream without bound and puts every command behind one thread pool. Callbacks arrive on MAVSDK's threads: they
+stamp the arrival, fill a slot and wake the event loop at most once. An acknowledged command proves little (PX4
+acknowledges a take-off while disarmed), so what matters is read back from telemetry. We are a ground station on the
+link: PX4 may refuse to arm for what calls itself a companion computer (X3, X6).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import json
+import logging
+import math
+import sys
+import threading
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from mavsdk import ComponentType, Configuration, LogLevel, Mavsdk, MavsdkError, log_subscribe
+from mavsdk.plugins.action import Action
+from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
+from mavsdk.plugins.mission_raw import MissionRaw
+from mavsdk.plugins.offboard import Offboard, PositionNedYaw
+from mavsdk.plugins.param import Param
+from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
+from mavsdk.plugins.transponder import Transponder
+
+from m3r_app.parameters import ParameterClient
+from m3r_app.ports import LinkError, check_link
+from m3r_app.vehicle.adsb import Aircraft
+from m3r_app.vehicle.mavsdk_telemetry import Reception
+from m3r_app.vehicle.telemetry import NO_HEALTH, UNKNOWN_MODE, Telemetry
+from safety.vocabulary import Ned
+
+COMMAND_TIMEOUT_S = 4.0
+"""MAVSDK itself sends a command three times, half a second apart or more, before it gives up."""
+SETPOINT_AGE_S = 0.5
+"""Offboard is entered only from a position at most this old."""
+MODE_WAIT_S = 2.5
+"""The flight mode is reported at 1 Hz, and a report may be lost."""
+OFFBOARD_RETRY_S = 2.0
+"""PX4 denies Offboard until it has seen setpoints: how long to ask again."""
+HEALTH_WAIT_S = 3.0
+"""The home position, which health needs, comes every two seconds."""
+OUR_MODES = ("OFFBOARD", "HOLD", None)
+"""The modes a vehicle is in while we command it; None: not heard yet."""
+REASON_WAIT_S = 0.3
+"""A refusal's reason comes as status text, shortly before or after the refusal."""
+
+log = logging.getLogger("m3r.mavsdk")
+T = TypeVar("T")
+
+
+class VehicleError(Exception):
+    """What the vehicle or its link would not do: one sentence that names the vehicle and what to do."""
+
+
+TUNE = "MFT160L8CG"
+"""In the notation of PLAY_TUNE's QBasic format."""
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    """What the autopilot says in words (STATUSTEXT)."""
+
+    at_s: float
+    severity: str
+    text: str
+
+
+class Vehicle:
+    """A connected vehicle. Made by `Vehicle.connect`; every method but the two blocking Holds belongs to the event loop."""
+
+    def __init__(self, colour: str, url: str, clock: Callable[[], float], mavsdk: Mavsdk, system: Any) -> None:
+        self.colour = colour
+        self.url = url
+        self._clock = clock
+        self._loop = asyncio.get_running_loop()
+        self._mavsdk = mavsdk
+        self._action = Action(system)
+        self._offboard = Offboard(system)
+        self._mission = MissionRaw(system)
+        direct = MavlinkDirect(system)
+        # Blocking calls get a thread of their own, so that nobody else's work can delay them.
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix=f"vehicle-{colour}")
+        self._parameters = ParameterClient(Param(system), direct, system.get_system_id(), self._executor)
+        self._listeners: list[Callable[[Telemetry], None]] = []
+        self._wake_pending = False
+        self._closed = False
+        self.status_texts: deque[StatusText] = deque(maxlen=100)
+        self._direct = direct
+        self._reception = Reception(
+            clock, TelemetryPlugin(system), direct, Transponder(system), self._wake, self._status_text
+        )
+
+    @classmethod
+    async def connect(cls, colour: str, url: str, clock: Callable[[], float], timeout_s: float = 10.0) -> Vehicle:
+        """Open the link and wait for its first autopilot. Raises VehicleError: bad link, port in use, no answer."""
+        _redirect_log()
+        try:
+            check_link(url)
+        except LinkError as error:
+            raise VehicleError(f"{colour}: {error}") from None
+        loop = asyncio.get_running_loop()
+        configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+        mavsdk = Mavsdk(configuration)
+        found: asyncio.Future[Any] = loop.create_future()
+        try:
+            try:
+                await loop.run_in_executor(None, mavsdk.add_any_connection_with_handle, url)
+            except MavsdkError as error:
+                raise VehicleError(f"{colour}: {url} cannot be opened ({error}).") from None
+            waiting = mavsdk.first_autopilot_async(timeout_s, lambda system: _post(loop, _settle, found, system))
+            try:
+                system = await found
+            finally:
+                mavsdk.cancel_first_autopilot(waiting)
+            if system is None:
+                raise VehicleError(
+                    f"{colour}: no autopilot answered on {url} within {timeout_s:g} s: check that the vehicle is on "
+                    "and sends MAVLink to this address."
+                )
+            vehicle = cls(colour, url, clock, mavsdk, system)
+        except BaseException:
+            await asyncio.shield(loop.run_in_executor(None, mavsdk.destroy))
+            raise
+        vehicle._reception.request_rates(50.0 if not url.startswith("serial") else 10.0)
+        return vehicle
+
+    async def close(self) -> None:
+        """End the link: setpoints stop. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        self._listeners.clear()
+        # In a thread: MAVSDK waits for its callbacks, and those may wait for the interpreter.
+        await self._loop.run_in_executor(None, self._mavsdk.destroy)
+        self._executor.shutdown(wait=False)
+
+    # Telemetry
+
+    def on_telemetry(self, listener: Callable[[Telemetry], None]) -> None:
+        """Call listener in the event loop at each new position, with the latest of everything."""
+        self._listeners.append(listener)
+
+    def off_telemetry(self, listener: Callable[[Telemetry], None]) -> None:
+        """Do not call listener any more."""
+        if listener in self._listeners:
+            self._listeners.remove(listener)
+
+    def telemetry(self) -> Telemetry:
+        """The latest of everything, now. Silence is seen in its ages."""
+        return self._reception.slots.snapshot(self._clock())
+
+    def aircraft(self) -> tuple[Aircraft, ...]:
+        """The aircraft with a transponder that this one hears of."""
+        return self._reception.aircraft.now(self._clock())
+
+    async def play_tune(self) -> bool:
+        """Two rising notes (PLAY_TUNE): this is the drone that was paired. Whether it could be sent; nobody answers it.
+
+        MAVSDK's own tune plugin cannot hand a list of notes to its library, so the message is sent as it is.
+        """
+        fields = json.dumps({"target_system": 0, "target_component": 0, "tune": TUNE, "tune2": ""})
+        message = MavlinkMessage("PLAY_TUNE", 0, 0, 0, 0, fields)
+        try:
+            result = await self._loop.run_in_executor(self._executor, self._direct.send_message, message)
+        except (MavsdkError, RuntimeError):
+            return False
+        return bool(result is None or getattr(result, "name", "SUCCESS") == "SUCCESS")
+
+    def here(self) -> tuple[Ned, float] | None:
+        """Own local position and yaw (deg) now; None if they are unknown or stale."""
+        telemetry = self.telemetry()
+        if telemetry.local is None or not telemetry.age_s(self._clock()) <= SETPOINT_AGE_S:
+            return None
+        return telemetry.local, telemetry.yaw_deg
+
+    async def wait_for(self, condition: Callable[[Telemetry], bool], timeout_s: float, what: str) -> Telemetry:
+        """The first telemetry that fulfils condition. Raises VehicleError naming `what` if none does in time."""
+        deadline_s = self._loop.time() + timeout_s
+        asked_at_s = self._clock()
+        while not condition(telemetry := self.telemetry()):
+            if self._loop.time() > deadline_s:
+                raise VehicleError(
+                    f"{self.colour}: {what} did not happen within {timeout_s:g} s{self._reason(asked_at_s)}."
+                )
+            await asyncio.sleep(0.02)
+        return telemetry
+
+    async def wait_ready(self, timeout_s: float = 10.0) -> Telemetry:
+        """Wait until position, attitude, flight mode and health have been heard, and a little for health to be good.
+
+        Health that stays bad is returned, not raised: its reasons are for whoever pairs (X8). Raises VehicleError, also
+        where a second vehicle answers on the same link.
+        """
+        await self.wait_for(
+            lambda t: math.isfinite(t.at_s) and t.flight_mode != UNKNOWN_MODE and t.unhealthy != NO_HEALTH,
+            timeout_s,
+            "a first report of position, attitude, flight mode and health",
+        )
+        self._check_alone()
+        with suppress(VehicleError):
+            await self.wait_for(lambda t: t.healthy, HEALTH_WAIT_S, "good health")
+        return self.telemetry()
+
+    # Motion
+
+    def set_position_ned(self, point: Ned, yaw_deg: float) -> None:
+        """Hand over a position-only setpoint (m, the vehicle's own local NED; compass yaw). Cheap: no thread, no wait.
+
+        MAVSDK sends it at once and again at 20 Hz until the next one. Raises VehicleError on a value that is not finite
+        (MAVSDK would send it) or a link that is closed.
+        """
+        if not point.finite or not math.isfinite(yaw_deg):
+            raise VehicleError(f"{self.colour}: a setpoint of {tuple(point)}, {yaw_deg} degrees is no position.")
+        try:
+            self._offboard.set_position_ned(PositionNedYaw(*point, yaw_deg))
+        except (MavsdkError, RuntimeError) as error:
+            raise VehicleError(f"{self.colour}: a setpoint could not be sent ({error}).") from None
+
+    async def enter_offboard(self) -> None:
+        """Enter Offboard at the present position and yaw, never at a remembered one. Raises VehicleError.
+
+        Returns when the vehicle itself reports Offboard (up to a second after it has acknowledged: HEARTBEAT, 1 Hz).
+        """
+        deadline_s = self._loop.time() + OFFBOARD_RETRY_S
+        while True:
+            here = self.here()
+            if here is None:
+                age_s = self.telemetry().age_s(self._clock())
+                raise VehicleError(
+                    f"{self.colour}: Offboard needs a fresh position, and the last is {age_s:.1f} s old."
+                )
+            self.set_position_ned(*here)
+            try:
+                await self._command("Offboard", self._offboard.start_async)
+                break
+            except VehicleError:
+                if self._loop.time() > deadline_s:
+                    raise
+            await asyncio.sleep(0.1)
+        await self.wait_for(lambda t: t.flight_mode == "OFFBOARD", MODE_WAIT_S, "Offboard")
+
+    async def hold(self) -> None:
+        """Command Hold; returns when it is acknowledged. Raises VehicleError. That it holds is seen in flight_mode."""
+        await self._command("Hold", self._action.hold_async)
+
+    def hold_blocking(self, timeout_s: float) -> None:
+        """Command Hold from any thread, without the event loop: for the guard. Raises VehicleError."""
+        answered = threading.Event()
+        results: list[Any] = []
+
+        def done(result: Any, _: Any) -> None:
+            results.append(result)
+            answered.set()
+
+        try:
+            self._action.hold_async(done)
+        except RuntimeError as error:
+            raise VehicleError(f"{self.colour}: Hold could not be sent ({error}).") from None
+        if not answered.wait(timeout_s):
+            raise VehicleError(f"{self.colour}: Hold was sent and not acknowledged within {timeout_s:g} s.")
+        if results[0].name != "SUCCESS":
+            raise VehicleError(f"{self.colour}: Hold was answered with {results[0].name}.")
+
+    def hold_unless_taken_over(self, timeout_s: float) -> None:
+        """What the guard calls: as hold_blocking, but nothing where the flight mode says that somebody took over (X3).
+
+        The mode is the latest heard by MAVSDK's threads: it is known even while the event loop is stuck.
+        """
+        if self._reception.slots.flight_mode.value in OUR_MODES:
+            self.hold_blocking(timeout_s)
+
+    async def takeoff(self, metres: float, timeout_s: float = 60.0) -> None:
+        """Arm, take off to `metres` above here and wait there in Hold. Gated on health by us. Raises VehicleError."""
+        if not (math.isfinite(metres) and metres > 0.0):
+            raise VehicleError(f"{self.colour}: a take-off to {metres:g} m is none: give a height above 0.")
+        telemetry = await self.wait_ready()
+        if not telemetry.healthy:
+            raise VehicleError(f"{self.colour}: not fit to take off: {', '.join(telemetry.unhealthy)}.")
+        if telemetry.in_air is not False or telemetry.local is None:
+            raise VehicleError(f"{self.colour}: take-off is only for a vehicle that is known to stand on the ground.")
+        ground_down_m = telemetry.local.down
+        await self._command("the take-off altitude", lambda done: self._action.set_takeoff_altitude_async(metres, done))
+        await self._command("arming", self._action.arm_async)
+        await self.wait_for(lambda t: t.armed is True, 5.0, "arming")
+        await self._command("take-off", self._action.takeoff_async)
+        await self.wait_for(
+            lambda t: (
+                t.in_air is True
+                and t.flight_mode == "HOLD"
+                and t.local is not None
+                and ground_down_m - t.local.down > 0.8 * metres
+            ),
+            timeout_s,
+            f"a take-off to {metres:g} m",
+        )
+
+    async def land(self, timeout_s: float = 120.0) -> None:
+        """Come down here and wait until it stands on the ground. Raises VehicleError."""
+        if self.telemetry().in_air is not True:
+            raise VehicleError(f"{self.colour}: landing is only for a vehicle that is known to fly.")
+        await self._command("landing", self._action.land_async)
+        await self.wait_for(lambda t: t.in_air is False, timeout_s, "the landing")
+
+    async def resume_mission(self) -> None:
+        """Go on with the mission that is in the vehicle. Raises VehicleError."""
+        await self._command("the mission", self._mission.start_mission_async)
+
+    # Parameters
+
+    async def parameters(self, names: Iterable[str]) -> dict[str, float | int | None]:
+        """Read parameters; None for one that the vehicle does not have. Raises VehicleError."""
+        return await self._parameter_work(self._parameters.read(list(names)))
+
+    async def set_parameter(self, name: str, value: float) -> None:
+        """Set one parameter, as the type that the vehicle says it has. Raises VehicleError."""
+        await self._parameter_work(self._parameters.write(name, value))
+
+    async def _parameter_work(self, work: Awaitable[T]) -> T:
+        try:
+            return await work
+        except (MavsdkError, RuntimeError, ValueError) as error:
+            raise VehicleError(f"{self.colour}: {error}.") from None
+
+    # Inside
+
+    def _check_alone(self) -> None:
+        """Two vehicles on one link could be taken for each other. Raises VehicleError."""
+        if sum(system.has_autopilot() for system in self._mavsdk.get_systems()) > 1:
+            raise VehicleError(
+                f"{self.colour}: more than one vehicle answers on {self.url}: give each a port of its own."
+            )
+
+    async def _command(self, what: str, send: Callable[[Callable[[Any, Any], None]], None]) -> None:
+        """Send a command with MAVSDK's own callback and wait for its result."""
+        if self._closed:
+            raise VehicleError(f"{self.colour}: {what} was asked for after the link was closed.")
+        asked_at_s = self._clock()
+        answered: asyncio.Future[Any] = self._loop.create_future()
+        try:
+            send(lambda result, _: _post(self._loop, _settle, answered, result))
+        except RuntimeError as error:
+            raise VehicleError(f"{self.colour}: {what} could not be sent ({error}).") from None
+        try:
+            result = await asyncio.wait_for(answered, COMMAND_TIMEOUT_S)
+        except TimeoutError:
+            raise VehicleError(f"{self.colour}: no answer to {what} within {COMMAND_TIMEOUT_S:g} s.") from None
+        if result.name == "SUCCESS":
+            return
+        if result.name == "TIMEOUT":
+            raise VehicleError(f"{self.colour}: no answer to {what}: the link or the autopilot is silent.")
+        await asyncio.sleep(REASON_WAIT_S)
+        raise VehicleError(f"{self.colour}: {what} was refused ({result.name}){self._reason(asked_at_s)}.")
+
+    def _reason(self, since_s: float) -> str:
+        """What the autopilot said in words since then, to be appended."""
+        texts = [status.text.rstrip(". ") for status in self.status_texts if status.at_s >= since_s]
+        return f": the vehicle says {'; '.join(texts)}" if texts else ""
+
+    def _wake(self) -> None:
+        """On MAVSDK's thread: a new position. Wakes the loop once, however many arrive before it comes to it."""
+        if not self._wake_pending:
+            self._wake_pending = True
+            _post(self._loop, self._tell)
+
+    def _tell(self) -> None:
+        self._wake_pending = False
+        telemetry = self.telemetry()
+        for listener in tuple(self._listeners):
+            listener(telemetry)
+
+    def _status_text(self, severity: str, text: str) -> None:
+        self.status_texts.append(StatusText(self._clock(), severity, text))
+
+
+def _post(loop: asyncio.AbstractEventLoop, call: Callable[..., None], *arguments: Any) -> None:
+    """call_soon_threadsafe that a loop already closed may ignore: nobody listens any more."""
+    try:
+        loop.call_soon_threadsafe(call, *arguments)
+    except RuntimeError:
+        if not loop.is_closed():
+            raise
+
+
+def _settle(future: asyncio.Future[Any], result: Any) -> None:
+    if not future.done():
+        future.set_result(result)
+
+
+_LEVELS = {
+    LogLevel.DEBUG: logging.DEBUG,
+    LogLevel.INFO: logging.DEBUG,
+    LogLevel.WARN: logging.INFO,
+    LogLevel.ERROR: logging.WARNING,
+}
+
+
+@functools.cache
+def _redirect_log() -> None:
+    """MAVSDK prints to standard output, which is not ours to litter: send its messages to logging instead.
+
+    Once only: replacing the handler would free the old one while another link's thread may be in it.
+    """
+
+    def to_logging(level: LogLevel, message: str, file: str | None, line: int) -> bool:
+        log.log(_LEVELS[level], "%s (%s:%s)", message, file, line)
+        return True
+
+    def printed(*words: object) -> None:
+        log.warning("%s", " ".join(map(str, words)))
+
+    log_subscribe(to_logging)
+    # Its Python wrappers print what goes wrong in a callback: one status text that is not UTF-8 is enough.
+    for wrapper in (log_subscribe, Action, MavlinkDirect, MissionRaw, Offboard, Param, TelemetryPlugin):
+        vars(sys.modules[wrapper.__module__])["print"] = printed

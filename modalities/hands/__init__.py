@@ -1,0 +1,1 @@
+"""Hand gestures to maneuver requests."""

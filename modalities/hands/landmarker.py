@@ -1,0 +1,116 @@
+"""MediaPipe's hand landmarker: pictures in, hands out."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Self
+
+import cv2
+import numpy as np
+
+from modalities.hands.gestures import Hand
+from modalities.hands.video import Picture
+from modalities.models.catalogue import HandModel, ModelError, hand_model_at
+
+MOST_HANDS = 2
+"""Two, so that hands that disagree are seen."""
+LIBRARIES = "libegl1 and libgles2"
+_EMPTY: Picture = np.zeros((480, 640, 3), np.uint8)
+
+
+@contextmanager
+def _quiet_library() -> Iterator[None]:
+    """While the native library loads, what it says about its graphs and delegates goes nowhere; it has no setting for that.
+    Standard error is the whole process's, so this is for the time before anything flies.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is none to keep quiet
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+class HandDetector:
+    """Finds hands in successive pictures of one video. Used by one thread at a time; close it."""
+
+    def __init__(self, model: HandModel) -> None:
+        """Takes seconds (imports and compiles). Raises ModelError for an unusable model or missing libraries."""
+        self._last_ms = -1
+        self._begin_ms = 0
+        hand_model_at(model.path, model.origin)  # it may have changed since it was found
+        with _quiet_library():
+            self._load(model)
+            self.detect(_EMPTY, 0.0)  # the first picture takes longest, and is talked about
+
+    def _load(self, model: HandModel) -> None:
+        try:
+            import mediapipe
+            from mediapipe.tasks.python import BaseOptions, vision
+
+            self._mediapipe = mediapipe
+            options = vision.HandLandmarkerOptions(
+                base_options=BaseOptions(model_asset_path=str(model.path)),
+                running_mode=vision.RunningMode.VIDEO,
+                num_hands=MOST_HANDS,
+            )
+            self._landmarker: Any = vision.HandLandmarker.create_from_options(options)
+        except (ImportError, OSError) as error:
+            raise ModelError(
+                f"hands cannot be recognised, a library is missing: install {LIBRARIES} ({error})"
+            ) from error
+        except (RuntimeError, ValueError) as error:
+            raise ModelError(
+                f"{model.path} is not a usable hand model: delete it and run `m3r models fetch`"
+            ) from error
+
+    def detect(self, picture: Picture, at_s: float) -> tuple[Hand, ...]:
+        """The hands in the next picture of the video. at_s: its time in seconds, from any start; what does not lie after the
+        last one counts as 1 ms later, since the landmarker's time must increase.
+        """
+        height_px, width_px = picture.shape[:2]
+        at_ms = self._begin_ms + round(at_s * 1000.0) if math.isfinite(at_s) else 0
+        self._last_ms = max(self._last_ms + 1, at_ms)
+        # A conversion, not a view: the landmarker reads a view that is not contiguous wrongly.
+        image = self._mediapipe.Image(self._mediapipe.ImageFormat.SRGB, cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+        result = self._landmarker.detect_for_video(image, self._last_ms)
+        scale = (width_px, height_px, width_px)
+        return tuple(
+            Hand(
+                points_px=np.array([(p.x, p.y, p.z) for p in landmarks]) * scale,
+                world_m=np.array([(p.x, p.y, p.z) for p in world]),
+                score=float(categories[0].score),
+                width_px=width_px,
+                height_px=height_px,
+            )
+            for categories, landmarks, world in zip(
+                result.handedness, result.hand_landmarks, result.hand_world_landmarks, strict=True
+            )
+        )
+
+    def forget(self) -> None:
+        """Another video follows, whose time may start anew: an empty picture ends all tracking."""
+        self.detect(_EMPTY, 0.0)
+        self._begin_ms = self._last_ms + 1000
+
+    def close(self) -> None:
+        """Give its memory and threads back; calling it again does nothing."""
+        landmarker, self._landmarker = self._landmarker, None
+        if landmarker is not None:
+            landmarker.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

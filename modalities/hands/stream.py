@@ -1,0 +1,111 @@
+"""Hands as a modality of the running app: a thread of its own that turns pictures into maneuver requests as time passes.
+
+Source: R1, X4.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import closing
+
+from modalities.hands.dwell import Held, Hold
+from modalities.hands.gestures import Hand, read_hands
+from modalities.hands.landmarker import HandDetector
+from modalities.hands.video import Clock, VideoSource
+from safety.vocabulary import ManeuverRequest, Modality
+
+
+class HandStream:
+    """Watches a video source and hands over requests, from its own thread.
+
+    Losing the hand, the picture or the camera is never a request. The callbacks run in this thread, so an asyncio app passes
+    ones that use `call_soon_threadsafe`.
+    """
+
+    def __init__(
+        self,
+        source: VideoSource,
+        detector: HandDetector,
+        *,
+        clock: Clock,
+        on_request: Callable[[ManeuverRequest], None],
+        on_seen: Callable[[str], None] = lambda _text: None,
+        on_hands: Callable[[Sequence[Hand]], None] = lambda _hands: None,
+        on_end: Callable[[Exception | None], None] = lambda _error: None,
+        hold: Hold | None = None,
+        mirrored: bool = False,
+    ) -> None:
+        """clock: the app's monotonic seconds, which the source stamps its pictures with. on_seen: what is seen now, whenever
+        it changes. on_hands: the hands in every picture. on_end: called last, once, with the error that ended the stream, or None where the video was played or
+        `stop` was called. mirrored: the camera shows the operator as a mirror would. The detector stays the caller's to close.
+        """
+        self._source = source
+        self._detector = detector
+        self._clock = clock
+        self._on_request = on_request
+        self._on_seen = on_seen
+        self._on_hands = on_hands
+        self._on_end = on_end
+        self._hold = Hold() if hold is None else hold
+        self._mirrored = mirrored
+        self._stopping = threading.Event()
+        self._made = 0
+        self._thread = threading.Thread(target=self._run, name="hands", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 5.0) -> bool:
+        """End it. True if the thread has ended within timeout_s (it looks at no more than one more picture)."""
+        self._stopping.set()
+        if self._thread.ident is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    @property
+    def dropped(self) -> int:
+        """How many pictures came too late to be looked at."""
+        return self._source.dropped
+
+    def _run(self) -> None:
+        error: Exception | None = None
+        try:
+            self._watch()
+        except Exception as raised:  # noqa: BLE001 whatever it is, the app must know that nobody watches any more
+            error = raised
+        self._on_end(error)
+
+    def _watch(self) -> None:
+        seen = ""
+        with closing(self._source.frames(self._stopping)) as frames:  # a camera is let go at once
+            for frame in frames:
+                hands = self._detector.detect(frame.picture, frame.captured_at_s)
+                reading = read_hands(hands, mirrored=self._mirrored)
+                held = self._hold.accept(reading, frame.captured_at_s)
+                if self._stopping.is_set():
+                    return
+                self._on_hands(hands)
+                if held is not None:
+                    self._hand_over(held)
+                if reading.text != seen:
+                    seen = reading.text
+                    self._on_seen(seen)
+
+    def _hand_over(self, held: Held) -> None:
+        self._made += 1
+        self._on_request(
+            ManeuverRequest(
+                id=f"hand-{self._made}",
+                command=held.command,
+                modality=Modality.GESTURE,
+                confidence=held.confidence,
+                captured_at_s=held.captured_at_s,
+                made_at_s=self._clock(),
+                evidence=f"{held.text}, held {held.held_s:g} s",
+            )
+        )

@@ -1,0 +1,1 @@
+"""The models of speech and hands: where they come from, which are in use."""

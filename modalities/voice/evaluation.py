@@ -1,0 +1,83 @@
+"""How well voice is recognised on a folder of recordings: how an operator calibrates.
+
+One sub-folder per expected command (`go_left`, `stop`, ...); what lies in any other sub-folder is no command.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import vosk
+
+from modalities.models.catalogue import VoiceModel
+from modalities.outcomes import (
+    DEFAULT_THRESHOLD,
+    Answer,
+    Trial,
+    choose_threshold,
+    expected_of,
+    of_commands,
+    of_none,
+    recordings_in,
+)
+from modalities.voice.audio import SAMPLE_RATE_HZ, Samples, chunks, quiet, read_audio
+from modalities.voice.decoder import Recognizer, load_model
+from modalities.voice.phrases import PhraseTable
+
+PADDING_S = 2.0
+TOLERATED_FALSE_MOVES = 0.005
+"""What share of the recordings without a command may become a request at the chosen threshold."""
+
+
+def hear(samples: Samples, recognizer: Recognizer) -> tuple[Answer, ...]:
+    """Everything heard in one recording, as if it were being captured: a chunk cannot be decoded before it is there, nor
+    before the decoder is done with the one before.
+    """
+    answers: list[Answer] = []
+    done_s = 0.0
+    for chunk in chunks(samples):
+        began = time.perf_counter()
+        heard = recognizer.accept(chunk)
+        done_s = max(done_s, chunk.captured_at_s) + time.perf_counter() - began
+        answers += [Answer(one, done_s - one.captured_at_s) for one in heard]
+    began = time.perf_counter()
+    heard = recognizer.finish(len(samples) / SAMPLE_RATE_HZ)
+    done_s += time.perf_counter() - began
+    return (*answers, *(Answer(one, done_s - one.captured_at_s) for one in heard))
+
+
+def evaluate_voice(
+    folder: Path | str,
+    model: VoiceModel,
+    colours: Iterable[str] = ("red", "green", "blue"),
+    threshold: float = DEFAULT_THRESHOLD,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> dict[str, object]:
+    """The contract's object for `m3r evaluate voice`: strict JSON, latencies in ms, null where there is nothing to tell.
+
+    threshold: the confidence from which a request counts. progress: recordings done and in all. Each recording is heard
+    by a fresh recogniser and followed by 2 s of quiet. Raises EvaluationError, AudioError or ModelError, which name what
+    is wrong.
+    """
+    recordings = recordings_in(Path(folder))
+    loaded = load_model(model.folder)
+    table = PhraseTable(colours)
+    trials: list[Trial] = []
+    for done, (name, path) in enumerate(recordings):
+        progress(done, len(recordings))
+        trials.append(_trial(name, path, loaded, table))
+    progress(len(recordings), len(recordings))
+    return {
+        "commands": of_commands(trials, threshold),
+        "none": of_none(trials, threshold),
+        "threshold": choose_threshold(trials, TOLERATED_FALSE_MOVES),
+        "model": model.name,
+    }
+
+
+def _trial(name: str, path: Path, model: vosk.Model, table: PhraseTable) -> Trial:
+    samples = np.concatenate([read_audio(path), quiet(PADDING_S)])
+    return Trial(name, expected_of(name), hear(samples, Recognizer(model, table)))

@@ -1,0 +1,222 @@
+"""Constraints on where: terrain, height, obstacles, workspace, session, geofence, standoff from the operator.
+
+Every required distance grows by what the position may be wrong: sigma_k standard deviations and the radius of the tube
+about the path that the vehicle stays in (X11). Source: paper III-E, III-F; design 2, 8, 9, 11.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from safety.findings import between, gaps_m, judge, once, refused, worst
+from safety.limits import Limits
+from safety.situation import Situation
+from safety.vocabulary import Finding, Floats, Ned, Path
+
+if TYPE_CHECKING:
+    from safety.terrain import Terrain, TerrainPatch
+
+NO_ACCURACY = "cannot be judged: the drone's position or its accuracy is unknown"
+
+
+def checked_sigma_m(sigma_m: float) -> float:
+    """A stated accuracy, or NaN if it is none: a negative one is no statement."""
+    return sigma_m if sigma_m >= 0.0 else math.nan
+
+
+def error_m(sigma_m: float, limits: Limits) -> float:
+    """How far the true position may be from where the path is, for a 1-sigma accuracy (X11); NaN: unknown."""
+    return limits.sigma_k * checked_sigma_m(sigma_m) + limits.tracking_m
+
+
+def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """3D distance of the swept path to the terrain. Source: R3, R4, G2."""
+    name, requirements = "terrain_clearance", ("R3", "R4", "G2")
+    terrain = situation.world.terrain
+    if terrain is None:
+        return refused(name, requirements, "m", "no terrain model: clearance cannot be judged")
+    _, clearance = profile(path, terrain)
+    sigma_m = situation.vehicle.sigma_m
+    required_m = limits.clearance_m + error_m(sigma_m, limits) + limits.sigma_k * checked_sigma_m(terrain.sigma_m)
+    margins = clearance - required_m
+    found = judge(
+        name,
+        requirements,
+        margins,
+        between(margins, _gaps(path)),
+        "terrain",
+        "{} too close to the terrain",
+        _terrain_unknown("terrain clearance", required_m, terrain),
+        far=True,
+    )
+    # Where the model has no data there may be anything, so it keeps the same distance, and there is no way out of it.
+    if found.margin is not None and found.margin < 0.0 and _misses(path, terrain, required_m):
+        return refused(name, requirements, "m", f"no terrain data within {required_m:.1f} m of the path")
+    return found
+
+
+def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """Height above ground along the swept path. Source: R3, G5.
+
+    Being wrong sideways over a slope is being wrong in height. Two bounds hold of the true height, and the better one
+    counts: it is at least the 3D clearance less the error, and at least the height less the error times the slope.
+    """
+    name, requirements = "agl", ("R3", "G5")
+    terrain = situation.world.terrain
+    if terrain is None:
+        return refused(name, requirements, "m", "no terrain model: height above ground cannot be judged")
+    height, clearance = profile(path, terrain)
+    vehicle, k = situation.vehicle, limits.sigma_k
+    gaps = _gaps(path)
+    level_m = error_m(vehicle.sigma_h_m, limits)
+    if not terrain.is_complete and _misses(path, terrain, level_m):
+        return refused(name, requirements, "m", "no terrain data under the path")
+    terrain_m = k * checked_sigma_m(terrain.sigma_m)
+    stretch = math.hypot(1.0, terrain.slope)
+    tilted_m = limits.tracking_m * stretch + k * (
+        checked_sigma_m(vehicle.sigma_v_m) + terrain.slope * checked_sigma_m(vehicle.sigma_h_m)
+    )
+    by_clearance = clearance - (limits.min_agl_m + terrain_m + error_m(vehicle.sigma_m, limits))
+    by_height = height - (limits.min_agl_m + terrain_m + tilted_m)
+    return judge(
+        name, requirements,
+        np.maximum(by_clearance, by_height),
+        np.maximum(between(by_clearance, gaps), between(by_height, gaps * stretch)),
+        "height above ground", "{} too low above the ground",
+        _terrain_unknown("height above ground", terrain_m + tilted_m, terrain), far=True,
+    )  # fmt: skip
+
+
+def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """3D distance of the swept path to every obstacle. Source: R3, R4, G2."""
+    name, requirements = "obstacle_clearance", ("R3", "R4", "G2")
+    obstacles = situation.world.obstacles
+    required_m = limits.obstacle_clearance_m + error_m(situation.vehicle.sigma_m, limits)
+    if not obstacles.declared:
+        return Finding(name, requirements, None, "m", True, "no obstacles are declared")
+    unknown = f"obstacle clearance {NO_ACCURACY}"
+    gaps = _gaps(path)
+    if not len(obstacles):
+        margins = obstacles.vouched_m(path.points_ned_m) - required_m
+        return judge(name, requirements, margins, between(margins, gaps), "nearest obstacle",
+                     "{} too close to an obstacle", unknown, far=True)  # fmt: skip
+    all_margins = obstacles.distance_m(path.points_ned_m) - required_m
+    all_between = between(all_margins, gaps)
+    lowest = np.minimum.reduce(all_between if len(all_between) else all_margins)
+    # Nearly always all of them pass, and the nearest is the one to tell of; otherwise each is judged by itself.
+    which = range(len(obstacles)) if not lowest.min() >= 0.0 else (int(lowest.argmin()),)
+    return worst(
+        [
+            judge(
+                name,
+                requirements,
+                all_margins[:, i],
+                all_between[:, i],
+                obstacles.names[i],
+                f"{{}} too close to {_plain(obstacles.names[i])}",
+                unknown,
+                far=True,
+            )
+            for i in which
+        ]
+    )
+
+
+def workspace(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """The ball about the anchor. Source: R7, paper III-D. Relative, so only drift since the anchor counts (design 2)."""
+    radius_m = limits.workspace_m - _drift_m(situation, situation.anchor.at_s, limits)
+    margins = _within(path, situation.anchor.position, radius_m)
+    # A ball is convex: what holds at two points holds between them.
+    return judge("workspace", ("R7",), margins, None, "workspace", "{} outside the workspace about the anchor",
+                 f"workspace {NO_ACCURACY}")  # fmt: skip
+
+
+def session(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """The ball about the place of pairing, which no sum of moves leaves. Source: X1, design 2."""
+    radius_m = limits.session_m - _drift_m(situation, situation.paired_at_s, limits)
+    margins = _within(path, situation.session_centre, radius_m)
+    return judge("session", ("X1",), margins, None, "session area", "{} too far from where pairing happened",
+                 f"session area {NO_ACCURACY}")  # fmt: skip
+
+
+def geofence(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """Inside the fence, outside its no-fly areas, between floor and ceiling, all along. Source: G4."""
+    name, requirements = "geofence", ("G4",)
+    fence = situation.world.geofence
+    if fence is None:
+        return Finding(name, requirements, None, "m", True, "no geofence is declared")
+    level = fence.level_m(path.points_ned_m) - error_m(situation.vehicle.sigma_h_m, limits)
+    upright = fence.upright_m(path.points_ned_m) - error_m(situation.vehicle.sigma_v_m, limits)
+    unknown = f"geofence {NO_ACCURACY}"
+    side = judge(name, requirements, level, between(level, _gaps(path)), "geofence",
+                 "{} too close to the geofence or beyond it", unknown, far=True)  # fmt: skip
+    if fence.is_open_above_and_below:
+        return side
+    # Floor and ceiling are planes, so heights between two samples lie between theirs.
+    return worst([side, judge(name, requirements, upright, None, "geofence floor and ceiling",
+                              "{} beyond the geofence's floor or ceiling", unknown)])  # fmt: skip
+
+
+def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
+    """Horizontal distance to the operator, who is a person. Source: X2, design 11."""
+    operator = situation.operator
+    north, east, _ = operator.position
+    required_m = limits.standoff_m + error_m(situation.vehicle.sigma_h_m, limits)
+    required_m += limits.sigma_k * checked_sigma_m(operator.sigma_m)
+    margins = np.array([math.hypot(n - north, e - east) - required_m for n, e, _ in _points(path)])
+    return judge("standoff", ("X2",), margins, between(margins, _gaps(path)), "distance to you", "{} too close to you",
+                 "distance to you cannot be judged: your position, the drone's or their accuracy is unknown")  # fmt: skip
+
+
+@once
+def profile(path: Path, terrain: Terrain | TerrainPatch) -> tuple[Floats, Floats]:
+    """(n,) height above ground and distance to the ground."""
+    if not np.isfinite(path.points_ned_m).all():
+        nowhere = np.full(len(path.points_ned_m), np.nan)
+        return nowhere, nowhere
+    height = terrain.agl_m(path.points_ned_m)
+    return height, terrain.clearance_m(path.points_ned_m, agl_m=height)
+
+
+_gaps = once(gaps_m)
+
+
+def _misses(path: Path, terrain: Terrain | TerrainPatch, apart_m: float) -> bool:
+    """Does the path come within apart_m, horizontally, of where there is no data?"""
+    unknown = terrain.unknown_m(path.points_ned_m)
+    lowest = min(float(unknown.min()), float(between(unknown, _gaps(path)).min(initial=math.inf)))
+    return lowest < apart_m
+
+
+def _terrain_unknown(what: str, required_m: float, terrain: Terrain | TerrainPatch) -> str:
+    if math.isfinite(required_m):
+        return f"{what} cannot be judged: no terrain data there"
+    if not math.isfinite(checked_sigma_m(terrain.sigma_m)):
+        return f"{what} cannot be judged: the terrain model states no accuracy"
+    return f"{what} {NO_ACCURACY}"
+
+
+@once
+def _points(path: Path) -> list[list[float]]:
+    """The path's points as plain numbers: of so few, plain arithmetic is faster."""
+    return path.points_ned_m.tolist()  # type: ignore[no-any-return]
+
+
+def _within(path: Path, place: Ned, radius_m: float) -> list[float]:
+    """How far inside the ball about a place each of the path's points is."""
+    return [radius_m - math.dist(point, place) for point in _points(path)]
+
+
+def _drift_m(situation: Situation, since_s: float, limits: Limits) -> float:
+    """What counts against a limit relative to a place the drone itself recorded at since_s."""
+    drifted_m = limits.drift_m_s * abs(situation.now_s - since_s)
+    sigma_m = checked_sigma_m(situation.vehicle.sigma_m)
+    return error_m(math.nan if math.isnan(sigma_m) else min(drifted_m, sigma_m), limits)
+
+
+def _plain(label: str) -> str:
+    """A name inside a format string."""
+    return label.replace("{", "{{").replace("}", "}}")

@@ -1,0 +1,1 @@
+"""`m3r check`: what is on this machine for flying by voice and hands."""
