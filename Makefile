@@ -2,7 +2,8 @@
 #   make demo    set up, fetch the models, fly the demonstration on the simulated fleet
 #   make test    set up, pass the tests         make soak    the long counts
 #   make check   style, types, floors           make bench   the figures, beside what they are compared with
-#   make lock    renew requirements.lock
+#   make lock    renew requirements.lock             make px4     fly a real PX4 SITL: M3R_PX4=path/to/px4 make px4
+#   make trace   which test holds which requirement
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -16,10 +17,13 @@ ifneq ($(wildcard ../shared/models),)
 export M3R_MODELS ?= $(CURDIR)/../shared/models
 endif
 
-.PHONY: help setup models demo test soak check bench lock clean
+# Without bytecode on the disk every start compiles a thousand files anew: seconds of the app's, minutes of the tests'.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help setup models demo test soak trace px4 check bench lock clean
 
 help:
-	@sed -n '2,5s/^# *//p' Makefile
+	@sed -n '2,6s/^# *//p' Makefile
 
 setup: .venv/stamp-installed
 
@@ -28,7 +32,7 @@ setup: .venv/stamp-installed
 	@touch $@
 
 .venv/stamp-installed: .venv/stamp-made requirements.lock pyproject.toml
-	@$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.lock
+	@$(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python --require-hashes -r requirements.lock
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
 
@@ -46,10 +50,17 @@ demo: setup
 	fi
 
 test: models
-	@$(BIN)/python -m pytest -n 3 --dist loadgroup
+	@$(BIN)/python -m pytest -n 4 --dist loadgroup
 
 soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600
+
+trace: setup
+	@$(BIN)/python -m tests.trace
+
+# Skipped by name, test by test, without M3R_PX4. Needs loopback alone.
+px4: setup
+	@$(BIN)/python -m pytest --timeout 600 tests/px4
 
 check: setup
 	@$(BIN)/ruff check .

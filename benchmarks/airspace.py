@@ -93,7 +93,7 @@ async def app(url: str, credentials: Path, measure_s: float) -> None:
 
     async def fly() -> None:
         while True:  # telemetry at 50 Hz
-            shared.teller.tell("red", HERE, Ned(0.0, 0.0, 0.0), 0.3, 0.01)
+            shared.publisher.tell("red", HERE, Ned(0.0, 0.0, 0.0), 0.3, 0.01)
             await asyncio.sleep(0.02)
 
     async def news() -> None:

@@ -66,7 +66,7 @@ def heard(sound: Sound, cue: Sound, model: vosk.Model, *, told: bool) -> list[He
     ends_s = BEGINS_S + len(cue) / SAMPLE_RATE_HZ
     found: list[Heard] = []
     for chunk in chunks(sound.astype(np.int16)):
-        found += recognizer.accept(chunk, own_voice=told and BEGINS_S <= chunk.captured_at_s <= ends_s + 0.3)
+        found += recognizer.accept(chunk, self_speech=told and BEGINS_S <= chunk.captured_at_s <= ends_s + 0.3)
     return found
 
 

@@ -27,7 +27,7 @@ from textual.app import App, ComposeResult
 from textual.widgets import Label
 
 from m3r_app.options import RunOptions
-from m3r_app.recorder import read_record
+from m3r_app.record.recorder import read_record
 from m3r_app.run_thread import Live
 from ui.console.app import Console
 

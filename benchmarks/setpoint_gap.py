@@ -20,7 +20,7 @@ import soundfile
 from rich.console import Console
 from rich.table import Table
 
-from m3r_app.recorder import read_record
+from m3r_app.record.recorder import read_record
 from modalities.models.catalogue import ModelError, find_hand_model, find_model
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -29,7 +29,7 @@ from modalities.voice.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, 
 from modalities.voice.decoder import UNKNOWN_WORD, Recognizer, load_model
 from modalities.voice.evaluation import PADDING_S, hear
 from modalities.voice.phrases import PhraseTable
-from modalities.voice.vad import VoiceEnd
+from modalities.voice.vad import VoiceActivityDetector
 from safety.vocabulary import Command
 
 PAPER_CHUNK_SAMPLES = 4000
@@ -83,7 +83,7 @@ def our_request(
 
 def voice_end_s(samples: Samples) -> float:
     """When the last voice in a clip ended."""
-    ear = VoiceEnd()
+    ear = VoiceActivityDetector()
     ear.accept(samples, len(samples) / SAMPLE_RATE_HZ)
     return ear.last_voice_s
 

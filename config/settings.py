@@ -102,6 +102,10 @@ class Confidence(Section):
     terrain_confidence_min: Annotated[float, Ge(0.1), Le(1)]
     terrain_half_m: Annotated[float, Ge(0.1), Le(5)]
     disagreement_m: Annotated[float, Ge(0.1), Le(5)]
+    noisy_disagreement_m: Annotated[float, Ge(0.1), Le(10)]
+    disagreement_max_m: Annotated[float, Ge(0.1), Le(10)]
+    jump_m: Annotated[float, Ge(0.2), Le(5)]
+    speed_plausible_m_s: Annotated[float, Ge(5), Le(30)]
     battery_min: Annotated[float, Ge(0), Le(0.9)]
     telemetry_age_s: Annotated[float, Ge(0.1), Le(2)]
 
@@ -126,6 +130,12 @@ class Uncertainty(Section):
     lag_s: Annotated[float, Ge(0.1), Le(3)]
     stop_deceleration_m_s2: Annotated[float, Ge(0.2), Le(5)]
     tracking_m: Annotated[float, Ge(0.1), Le(2)]
+    noisy_tracking_m: Annotated[float, Ge(0.1), Le(5)]
+    tracking_max_m: Annotated[float, Ge(0.1), Le(5)]
+    rest_m_s: Annotated[float, Ge(0.05), Le(0.5)]
+    hover_s: Annotated[float, Ge(0.5), Le(10)]
+    learn_s: Annotated[float, Ge(2), Le(60)]
+    noise_k: Annotated[float, Ge(1), Le(5)]
 
 
 class DecisionSettings(Section):
@@ -143,8 +153,10 @@ class Settings(Section):
 
     neighbours: Literal["fleet", "none"]
     terrain: Literal["scenario", "flat"]
+    battery: Literal["required", "unknown"]
     return_to_anchor: Literal["auto", "ask", "never"]
     on_disconnect: Literal["hold", "resume"]
+    position_lost: Literal["hold", "land"]
     replace: Literal["off", "offer"]
     envelope: Envelope
     clearance: Clearance
@@ -173,6 +185,11 @@ AT_MOST = (
     ("envelope.vertical_step_m", "workspace.workspace_m"),
     ("workspace.workspace_m", "workspace.session_m"),
     ("operator.standoff_m", "pairing.range_m"),
+    ("confidence.disagreement_m", "confidence.disagreement_max_m"),
+    ("confidence.noisy_disagreement_m", "confidence.disagreement_max_m"),
+    ("uncertainty.tracking_m", "uncertainty.tracking_max_m"),
+    ("uncertainty.noisy_tracking_m", "uncertainty.tracking_max_m"),
+    ("uncertainty.hover_s", "uncertainty.learn_s"),
 )
 """Pairs of keys of which the first may not exceed the second."""
 

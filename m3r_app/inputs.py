@@ -19,7 +19,7 @@ from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
 from modalities.hands.gestures import Hand
 from modalities.script import ScriptedRequest, read_script
 from modalities.voice.push_to_talk import PushToTalk
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import ManeuverRequest
 
 T = TypeVar("T")
@@ -116,10 +116,10 @@ class Voice:
         clock: Clock,
         say: Told,
         talking: Callable[[], bool] | None = None,
-        own_voice: OwnVoice | None = None,
+        self_speech: SelfSpeech | None = None,
     ) -> None:
         """say: told, from any thread, what becomes of a microphone; talking: push-to-talk, None for a microphone that is
-        always open; own_voice: when the app spoke, which a microphone hears. Raises AudioError, ModelError,
+        always open; self_speech: when the app spoke, which a microphone hears. Raises AudioError, ModelError,
         MicrophoneError.
         """
         # Heavy, and not needed for scripts alone.
@@ -132,7 +132,7 @@ class Voice:
         from modalities.voice.phrases import PhraseTable
 
         self._say = say
-        self._own_voice = own_voice if isinstance(source, LiveMicrophone) else None
+        self._self_speech = self_speech if isinstance(source, LiveMicrophone) else None
         self._stream: _Stream | None = None
         self._microphone: Microphone | None = None
         if isinstance(source, Path):
@@ -172,7 +172,7 @@ class Voice:
             on_partial=lambda words: _post(loop, senses.words, words),
             on_level=lambda level: _post(loop, senses.level_dbfs, level),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
-            own_voice=self._own_voice,
+            self_speech=self._self_speech,
             on_dropped=dropped,
         )
         error = await _played(self._stream, ended)
@@ -226,7 +226,7 @@ class Hands:
         """Watch in a thread of its own: until the video ends, or for ever. Returns what was wrong with a video that broke off;
         that is announced at once, and whatever else is being played goes on.
         """
-        from modalities.hands.dwell import Hold
+        from modalities.hands.dwell import DwellFilter
         from modalities.hands.stream import HandStream
         from modalities.hands.video import PlayedFile, VideoSource
 
@@ -246,7 +246,7 @@ class Hands:
             on_seen=lambda text: _post(loop, senses.shown, text),
             on_hands=lambda hands: _post(loop, senses.hands, hands),
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
-            hold=Hold(self._settings.hold_s),
+            hold=DwellFilter(self._settings.hold_s),
             mirrored=self._settings.mirrored,
         )
         error = await _played(self._stream, ended)
@@ -315,9 +315,9 @@ def open_inputs(
     settings: Settings,
     clock: Clock,
     say: Told,
-    own_voice: OwnVoice | None = None,
+    self_speech: SelfSpeech | None = None,
 ) -> Inputs:
-    """Read and load everything that is to be played. own_voice: when the app itself spoke, by the same clock.
+    """Read and load everything that is to be played. self_speech: when the app itself spoke, by the same clock.
 
     Raises ScriptError, AudioError, VideoError, ModelError: one sentence.
     """
@@ -335,7 +335,7 @@ def open_inputs(
                 if settings.voice.push_to_talk and isinstance(options.audio, LiveMicrophone)
                 else None
             )
-            voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None, own_voice)
+            voice = Voice(options.audio, colours, clock, say, talk.talking if talk is not None else None, self_speech)
             sentences += voice.sentences
             if talk is not None:
                 sentences.append(_key(talk, options))

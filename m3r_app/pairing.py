@@ -3,25 +3,46 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from m3r_app.heights import disagreements
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.confidence import confidence_of
+from safety.constraints import RULES, findings, nearby
 from safety.frames import LocalFrame
 from safety.limits import Limits
-from safety.situation import World
-from safety.vocabulary import Geodetic, Operator
+from safety.situation import Situation, World
+from safety.vocabulary import Anchor, Geodetic, Ned, Neighbours, Operator, Path, VehicleState
 
-FIT_TO_HOLD = frozenset({"HOLD", "MISSION", "OFFBOARD", "READY", "TAKEOFF"})
-"""Flight modes that pairing may end; in any other a person or a failsafe is flying it."""
+FIT_TO_HOLD = frozenset({"HOLD", "MISSION", "READY", "TAKEOFF"})
+"""Flight modes that pairing may end; in any other a person, another ground station or a failsafe is flying it."""
+WHERE_IT_STANDS = frozenset(
+    {"geofence", "standoff", "terrain_clearance", "agl", "obstacle_clearance", "terrain_confidence"}
+)
+"""Constraints that a drone must keep where it hovers, and where a take-off will bring it."""
+REPORTS = 3.0
+"""So many positions must come in the time after which the last is too old: one may be late, and one lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairingLimits:
-    """range_m: how far from the operator; operator_sigma_max_m: how well the operator must be located."""
+    """range_m: how far from the operator; operator_sigma_max_m: how well the operator must be located.
+
+    battery_may_be_unknown: it has been declared so.
+    """
 
     range_m: float
     operator_sigma_max_m: float
+    battery_may_be_unknown: bool = False
+
+
+def needed_rate_hz(limits: Limits) -> float:
+    """How often positions must come: often enough that none is too old (X6), and that at full speed the drone stays in the
+    tube about its path between two of them (R9, X11).
+    """
+    return max(REPORTS / limits.telemetry_age_s, 2.0 * limits.speed_m_s / limits.tracking_m)
 
 
 def objections(
@@ -32,15 +53,27 @@ def objections(
     limits: Limits,
     pairing: PairingLimits,
     now_s: float,
+    takeoff_m: float | None = None,
 ) -> tuple[str, ...]:
-    """Everything that forbids pairing, each one sentence; empty: it may be paired (failsafe parameters aside)."""
+    """Everything that forbids pairing, each one sentence; empty: it may be paired (failsafe parameters aside).
+
+    takeoff_m: for a drone that stands, everything that would forbid it after a take-off to this height, as far as it can
+    be known before.
+    """
     found: list[str] = []
     if not telemetry.age_s(now_s) <= limits.telemetry_age_s:
         found.append("its telemetry is missing or stale")
     if not telemetry.healthy:
         found.append(f"it is not healthy: {', '.join(telemetry.unhealthy) or 'no reason given'}")
-    if telemetry.in_air is not True:
+    if takeoff_m is None and telemetry.in_air is not True:
         found.append("it is not in the air; take off first")
+    if not telemetry.rate_hz >= needed_rate_hz(limits):
+        rate = f"{telemetry.rate_hz:.1f} times" if math.isfinite(telemetry.rate_hz) else "an unknown number of times"
+        found.append(f"its position comes {rate} a second, {needed_rate_hz(limits):.0f} are needed")
+    if telemetry.battery is None and not pairing.battery_may_be_unknown:
+        found.append('its battery is unknown; declare battery = "unknown" to fly without')
+    elif telemetry.battery is not None and not telemetry.battery >= limits.battery_min:
+        found.append(f"its battery is at {telemetry.battery:.0%}, {limits.battery_min:.0%} is needed")
     if telemetry.flight_mode not in FIT_TO_HOLD:
         found.append(f"it flies in {telemetry.flight_mode}, which pairing does not interrupt")
     if not (math.isfinite(operator.sigma_m) and operator.sigma_m <= pairing.operator_sigma_max_m):
@@ -59,7 +92,42 @@ def objections(
             found.append(
                 f"the terrain model's confidence is {_shown(terrain)}, {limits.terrain_confidence_min:.2f} is needed"
             )
+    found += disagreements(telemetry, frame, operator, world.terrain, limits)
+    if not found:
+        found += _there(telemetry, frame, operator, world, limits, now_s, takeoff_m)
     return tuple(found)
+
+
+def _there(
+    telemetry: Telemetry,
+    frame: LocalFrame,
+    operator: Operator,
+    world: World,
+    limits: Limits,
+    now_s: float,
+    takeoff_m: float | None,
+) -> list[str]:
+    """What the drone breaks where it hovers, by its best estimate; or where a take-off brings it, with all that is uncertain."""
+    if telemetry.geodetic is None:
+        return []
+    place = frame.ned(telemetry.geodetic)
+    if takeoff_m is not None:
+        place = place.plus(Ned(0.0, 0.0, -takeoff_m))
+    else:
+        limits = replace(limits, sigma_k=0.0, tracking_m=0.0)
+    vehicle = VehicleState(
+        now_s, place, Ned(0.0, 0.0, 0.0), 0.0, sigma_h_m=telemetry.sigma_h_m, sigma_v_m=telemetry.sigma_v_m
+    )
+    about = Situation(
+        now_s, vehicle, operator, Anchor(place, 0.0, now_s), place, now_s, Neighbours.none(math.inf), (), world, True
+    )
+    rules = tuple(rule for rule in RULES if rule.name in WHERE_IT_STANDS)
+    here = Path(np.array([place]), np.zeros(1))
+    broken = [f.text for f in findings(here, nearby(about, here, limits), limits, rules=rules) if not f.passed]
+    if not broken:
+        return []
+    where = f"a take-off to {takeoff_m:g} m brings it" if takeoff_m is not None else "it hovers"
+    return [f"{where} {'; '.join(broken)}"]
 
 
 def _distance(

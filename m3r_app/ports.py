@@ -7,9 +7,13 @@ them: the first process would lose its telemetry without a word. So we bind firs
 from __future__ import annotations
 
 import errno
+import random
 import socket
 from urllib.parse import urlsplit
 
+PORTS = (20000, 32000)
+"""What we take by ourselves: below what the system hands out."""
+PORT_TRIES = 100
 SCHEMES = ("udpin", "udpout", "tcpin", "tcpout", "serial")
 
 
@@ -68,3 +72,16 @@ def _host_port(url: str) -> tuple[str, int]:
     if not host or not port:
         raise LinkError(f"{url!r} does not name a host and a port from 1 to 65535, as in udpin://0.0.0.0:14540.")
     return host, port
+
+
+def free_udp_block(count: int) -> int:
+    """The first of `count` UDP ports in a row that nobody on this computer holds. Raises LinkError."""
+    for _ in range(PORT_TRIES):
+        base = random.randrange(*PORTS)
+        try:
+            for port in range(base, base + count):
+                require_free("127.0.0.1", port)
+        except LinkError:
+            continue
+        return base
+    raise LinkError(f"there are no {count} free UDP ports in a row")

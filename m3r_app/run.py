@@ -19,32 +19,33 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app.airspace.local import Airspace, LocalAirspace
+from m3r_app.arbiter.events import ArbiterState, ClaimLost, PairingAnswered, PairingAsked, Policy, Tally
+from m3r_app.arbiter.modes import State
 from m3r_app.environment.static_scene import stage_of
-from m3r_app.events import ArbiterState, PairingAnswered, PairingAsked, Policy, Tally
+from m3r_app.exit_status import ExitStatus
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
-from m3r_app.modes import State
 from m3r_app.options import RunOptions
 from m3r_app.pairing import PairingLimits, objections
 from m3r_app.plain import plain
-from m3r_app.recorder import Recorder
+from m3r_app.record.recorder import Recorder
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.runtime import Recording, Shell, request_event
+from m3r_app.sim.process import SimulatedFleet
 from m3r_app.snapshot import Taken
 from m3r_app.takeoff_landing import GroundWork
-from m3r_app.vehicle import px4_failsafe as failsafe
-from m3r_app.vehicle.fleet import Fleet, Links, SimulatedFleet
+from m3r_app.vehicle import px4_failsafe
+from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.mavsdk_vehicle import VehicleError
+from m3r_app.vehicle.interface import Links, VehicleError
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 from modalities.hands.gestures import Hand
 from modalities.voice.push_to_talk import PushToTalk
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import Command, ManeuverRequest
 
 if TYPE_CHECKING:
     from m3r_app.record.foxglove_server import Viewer
 
-INTERRUPTED, VIOLATED, NO_VEHICLE, BAD_INPUT, ENDED = 130, 4, 3, 2, 0
-"""Exit statuses of the contract; the highest that applies."""
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals after which the drone is left in Hold and the run ends."""
 LOST_S = 5.0
@@ -64,13 +65,13 @@ class VehicleLost(Exception):  # noqa: N818
     """The paired drone fell silent."""
 
 
-async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> int:
+async def run(options: RunOptions, emit: Emit, self_speech: SelfSpeech | None = None) -> int:
     """Fly one run; returns the exit status. `emit` takes the objects of the machine-readable output.
 
-    own_voice: when whoever speaks for us did, by `time.monotonic`; a live microphone hears it too.
+    self_speech: when whoever speaks for us did, by `time.monotonic`; a live microphone hears it too.
     Raises what names bad input (ValueError) or a missing vehicle (VehicleError), after the `end` object.
     """
-    one = Run(options, emit, own_voice)
+    one = Run(options, emit, self_speech)
     loop = asyncio.get_running_loop()
     for name in ENDING:
         loop.add_signal_handler(name, one.interrupted.set)
@@ -86,7 +87,7 @@ async def run(options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None
 class Run:
     """The life of one run, in the event loop that it is made in. `interrupted` ends it in order; `run` has signals do that."""
 
-    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
+    def __init__(self, options: RunOptions, emit: Emit, self_speech: SelfSpeech | None = None) -> None:
         self.options = options
         self.setting: Setting | None = None
         """Once it is known."""
@@ -94,7 +95,7 @@ class Run:
         """What opens the microphone, where it is the console that does."""
         self.senses = Taken()
         """What the modalities take in."""
-        self._own_voice = own_voice
+        self._self_speech = self_speech
         self.clock = time.monotonic
         self.started_s = self.clock()
         self._loop = asyncio.get_running_loop()
@@ -169,19 +170,19 @@ class Run:
         for sink in self._sinks:
             sink.close()
         if reason == "interrupted":
-            return INTERRUPTED
+            return ExitStatus.INTERRUPTED
         if tally.violations:
-            return VIOLATED
+            return ExitStatus.VIOLATED
         if failure is not None:
             raise failure
-        return NO_VEHICLE if no_vehicle else ENDED
+        return ExitStatus.NO_VEHICLE if no_vehicle else ExitStatus.ENDED
 
     async def _body(self) -> str:
         async with AsyncExitStack() as stack:
             setting = self.setting = await _in_thread(lambda: prepare(self.options))
             inputs = await _in_thread(
                 lambda: open_inputs(
-                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._own_voice
+                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._self_speech
                 )
             )
             stack.callback(inputs.close)
@@ -189,14 +190,18 @@ class Run:
             for sentence in inputs.sentences:
                 self.emit("announce", {"text": sentence})
             await _in_thread(lambda: self._open_sinks(setting, inputs))
-            self.record("stage", self.clock(), stage_of(setting))
+            self.record("stage", self.clock(), stage_of(setting.world, setting.operator))
             fleet = await self._connect(setting, stack)
             guard = Guard(self._say_soon)
             guard.start()
             stack.callback(guard.close)
             airspace = await self._airspace(setting, fleet, stack)
             shell = self.shell = self._shell(setting, fleet, guard, airspace)
-            self.ground = GroundWork(shell, lambda text: self.emit("announce", {"text": text}))
+            self.ground = GroundWork(
+                shell,
+                lambda text: self.emit("announce", {"text": text}),
+                lambda vehicle, metres: self._against(setting, vehicle, metres),
+            )
             stack.push_async_callback(shell.close)
             stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
             async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
@@ -256,7 +261,7 @@ class Run:
         everybody = {**fleet.vehicles, **fleet.others}
         shared.watch({name: vehicle.telemetry for name, vehicle in everybody.items()})
         for name, vehicle in everybody.items():
-            vehicle.on_telemetry(partial(shared.teller.telemetry, name))
+            vehicle.on_telemetry(partial(shared.publisher.telemetry, name))
         stack.push_async_callback(shared.close)
         await shared.open()
         self.emit("announce", {"text": f"sharing the air of {credentials.area} at {broker} as {credentials.name}"})
@@ -264,7 +269,13 @@ class Run:
 
     def _shell(self, setting: Setting, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
         settings = setting.settings
-        policy = Policy(settings.return_to_anchor, settings.on_disconnect, settings.replace, self.options.dry_run)
+        policy = Policy(
+            settings.return_to_anchor,
+            settings.on_disconnect,
+            settings.replace,
+            self.options.dry_run,
+            settings.position_lost,
+        )
 
         async def pair(shell: Shell, colour: str) -> None:
             await self._pair(setting, shell, colour)
@@ -281,6 +292,7 @@ class Run:
             recording,
             pair,
             declared_empty=settings.neighbours == "none",
+            battery_may_be_unknown=settings.battery == "unknown",
         )
 
     # ------------------------------------------------------------ pairing
@@ -310,29 +322,39 @@ class Run:
         if held is not None:
             return (held,)
         await vehicle.wait_ready(setting.settings.pairing.answer_s)
-        if self.options.takeoff_m is not None and vehicle.telemetry().in_air is False:
-            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {self.options.takeoff_m:g} m"})
-            await vehicle.takeoff(self.options.takeoff_m)
-        pairing = PairingLimits(setting.settings.pairing.range_m, setting.settings.pairing.operator_sigma_max_m)
-        found = objections(
-            vehicle.telemetry(), setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock()
-        )
-        rc = vehicle.telemetry().rc_present
-        check = failsafe.apply if self.options.apply_failsafe else failsafe.check
-        found += tuple(m.text for m in await check(vehicle, rc))
+        takeoff_m = self.options.takeoff_m
+        if takeoff_m is not None and vehicle.telemetry().in_air is False:
+            found = await self._against(setting, vehicle, takeoff_m)
+            if found:
+                return found
+            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {takeoff_m:g} m"})
+            await vehicle.takeoff(takeoff_m)
+        found = await self._against(setting, vehicle, None)
         if found:
             return found
         await vehicle.hold()
-        await vehicle.wait_for(
-            lambda t: t.flight_mode == "HOLD" and t.velocity is not None and t.velocity.norm < 0.2,
-            SETTLE_S,
-            "coming to rest in Hold",
-        )
+        await vehicle.wait_settled(SETTLE_S)
         shell.take_vehicle(vehicle)
         first = self.clock()
         await vehicle.wait_for(lambda t: t.at_s > first, SETTLE_S, "fresh telemetry")
         shell.inbox.put(shell.surroundings(self.clock()))
         return ()
+
+    async def _against(self, setting: Setting, vehicle: Vehicle, takeoff_m: float | None) -> tuple[str, ...]:
+        """Everything against pairing; takeoff_m: before a take-off, all that can be known on the ground. Source: X8."""
+        if setting.operator is None:
+            return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
+        settings = setting.settings
+        pairing = PairingLimits(
+            settings.pairing.range_m, settings.pairing.operator_sigma_max_m, settings.battery == "unknown"
+        )
+        await vehicle.wait_measured()
+        told = vehicle.telemetry()
+        found = objections(
+            told, setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock(), takeoff_m
+        )
+        check = px4_failsafe.apply if self.options.apply_failsafe else px4_failsafe.check
+        return (*found, *(m.text for m in await check(vehicle, told.rc_present)))
 
     # ------------------------------------------------------------ flying
 
@@ -389,11 +411,17 @@ class Run:
             await shell.changed.wait()
 
     async def _watch_link(self, shell: Shell) -> None:
-        """Ends the run when the paired drone has been silent for long."""
+        """Lets a paired drone go that has been silent for long, which ends the run unless somebody sits at the console."""
         while True:
             await asyncio.sleep(0.5)
             vehicle = shell.vehicle
+            if shell.vehicle_lost and not self.options.console:
+                raise VehicleLost
             if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > LOST_S:
+                if self.options.console:
+                    # STOP, the other drones and whatever comes of this one must stay in reach.
+                    shell.inbox.put(ClaimLost(f"lost, silent for {LOST_S:.0f} s"))
+                    continue
                 self.emit("announce", {"text": f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s"})
                 raise VehicleLost
 

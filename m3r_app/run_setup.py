@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from config.settings import Settings, load_settings
 from m3r_app.airspace.credentials import AirError, Broker, Credentials, load_credentials, parse_broker
+from m3r_app.environment.loaders import load_world
+from m3r_app.environment.scenario import SHIPPED, Scenario, load_scenario
 from m3r_app.options import OptionError, RunOptions
 from m3r_app.ports import check_link
-from m3r_app.scenario import SHIPPED, Scenario, load_scenario
-from m3r_app.world import load_world
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.obstacles import Obstacles

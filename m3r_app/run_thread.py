@@ -18,7 +18,7 @@ from dataclasses import replace
 from m3r_app.options import RunOptions
 from m3r_app.run import Emit, Run
 from m3r_app.snapshot import Picture, craft, heard_of
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 PICTURE_S = 0.1
@@ -31,17 +31,17 @@ END_S = 30.0
 class Live:
     """Start it, ask it, look at it, end it. Every method may be called from any thread."""
 
-    def __init__(self, options: RunOptions, emit: Emit, own_voice: OwnVoice | None = None) -> None:
+    def __init__(self, options: RunOptions, emit: Emit, self_speech: SelfSpeech | None = None) -> None:
         """emit: takes the objects of the machine-readable output, in the run's own thread; it may not block.
 
-        own_voice: when whoever speaks for us did, by `time.monotonic`.
+        self_speech: when whoever speaks for us did, by `time.monotonic`.
         """
         self.clock = time.monotonic
         self.picture: Picture | None = None
         """The latest; None until the fleet is connected."""
         self._options = replace(options, console=True)
         self._emit = emit
-        self._own_voice = own_voice
+        self._self_speech = self_speech
         self._loop: asyncio.AbstractEventLoop | None = None
         self._run: Run | None = None
         self._asked = 0
@@ -127,7 +127,7 @@ class Live:
             self._ended.set()
 
     async def _whole(self) -> int:
-        run = Run(self._options, self._emit, self._own_voice)
+        run = Run(self._options, self._emit, self._self_speech)
         self._loop = asyncio.get_running_loop()
         self._run = run
         if self._wanted_end.is_set():

@@ -10,8 +10,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Literal, Protocol
 
 from m3r_app.airspace.local import Airspace
-from m3r_app.arbiter.step import step
-from m3r_app.events import (
+from m3r_app.arbiter.events import (
     Announce,
     ArbiterState,
     ClaimLost,
@@ -20,6 +19,7 @@ from m3r_app.events import (
     Event,
     FaceOperator,
     Fly,
+    FrameMoved,
     Hold,
     LetGo,
     NeighboursHeard,
@@ -34,10 +34,12 @@ from m3r_app.events import (
     TelemetryArrived,
     Tick,
 )
+from m3r_app.arbiter.step import step
 from m3r_app.snapshot import craft, margins
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.interface import VehicleError
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 from m3r_app.vehicle.motion_controller import MotionController
 from m3r_app.vehicle.telemetry import UNKNOWN_MODE, Telemetry
 from safety.frames import LocalFrame
@@ -95,7 +97,7 @@ class Inbox:
 
 
 class Recording(Protocol):
-    """Where everything is recorded. `m3r_app.recorder.Recorder` is one."""
+    """Where everything is recorded. `m3r_app.record.recorder.Recorder` is one."""
 
     def record(self, topic: str, t_s: float, data: dict[str, object]) -> None: ...
 
@@ -115,8 +117,12 @@ class Shell:
         recording: Recording,
         pair: Callable[[Shell, str], Coroutine[Any, Any, None]],
         declared_empty: bool,
+        battery_may_be_unknown: bool = False,
     ) -> None:
-        """pair: the procedure that answers a Pair effect; declared_empty: fly without neighbour data, as declared."""
+        """pair: the procedure that answers a Pair effect; declared_empty: fly without neighbour data, as declared.
+
+        battery_may_be_unknown: likewise.
+        """
         self.state = state
         self.inbox = Inbox()
         self.fleet = fleet
@@ -128,10 +134,13 @@ class Shell:
         self.changed = asyncio.Event()
         """Set after every step."""
         self.airspace = airspace
+        self.vehicle_lost = False
+        """The paired drone's autopilot has started anew: there is nothing left to fly."""
         self._emit = emit
         self._recording = recording
         self._pair = pair
         self._declared_empty = declared_empty
+        self._battery_may_be_unknown = battery_may_be_unknown
         self._shift: Ned | None = None
         self._commanded_at_s = -math.inf
         self._margins_at_s = -math.inf
@@ -268,6 +277,7 @@ class Shell:
                 if self.vehicle is not None:
                     self.airspace.free(self.vehicle.colour, effect.request_id)
             case LetGo():
+                self.vehicle_lost = self.vehicle_lost or effect.vehicle_lost
                 self._let_go(effect.command)
 
     async def _sound(self, vehicle: Vehicle) -> None:
@@ -341,6 +351,7 @@ class Shell:
             self._beat,
             lambda why: self.inbox.put(Stalled(why)),
             self._sent,
+            limits.lag_s,
         )
         self._stream()
 
@@ -411,7 +422,7 @@ class Shell:
         if not position.minus(place).norm <= JUMP_M:
             self._shift = telemetry.local.minus(place)
             position = place
-            self.inbox.put(Stalled("its estimator moved its own origin"))
+            self.inbox.put(FrameMoved("its estimator moved its own origin"))
         state = VehicleState(
             telemetry.at_s,
             position,
@@ -421,9 +432,13 @@ class Shell:
             telemetry.sigma_h_m,
             telemetry.sigma_v_m,
             telemetry.healthy,
-            telemetry.in_air is True,
+            telemetry.in_air,
             self._flight_mode(telemetry),
-            telemetry.battery,
+            math.nan if telemetry.battery is None and not self._battery_may_be_unknown else telemetry.battery,
+            armed=telemetry.armed,
+            mode_at_s=telemetry.mode_at_s,
+            unasked_hold=self._unasked_hold(telemetry),
+            restarts=telemetry.restarts,
         )
         self._recording.record(
             "telemetry",
@@ -441,12 +456,19 @@ class Shell:
         controller = self.controller
         if controller is None:
             return telemetry.flight_mode
-        if telemetry.mode_at_s < self._commanded_at_s + MODE_LAG_S and telemetry.flight_mode != UNKNOWN_MODE:
+        if self._mode_is_old(telemetry) and telemetry.flight_mode != UNKNOWN_MODE:
             return "OFFBOARD" if controller.engaged else "HOLD"
-        if controller.engaged and telemetry.flight_mode == "HOLD":
-            # The autopilot left Offboard by itself: the next order enters it anew.
-            controller.disengaged()
         return telemetry.flight_mode
+
+    def _mode_is_old(self, telemetry: Telemetry) -> bool:
+        """Whether the mode may have been told before it was changed by us."""
+        return telemetry.mode_at_s < self._commanded_at_s + MODE_LAG_S
+
+    def _unasked_hold(self, telemetry: Telemetry) -> bool:
+        """Whether it left Offboard for Hold and it was not us: not the guard either, which says so itself. Source: X3."""
+        engaged = self.controller is not None and self.controller.engaged
+        in_hold = telemetry.flight_mode == "HOLD" and not self._mode_is_old(telemetry)
+        return engaged and in_hold and not self.guard.stalled
 
     # ------------------------------------------------------------ reports
 

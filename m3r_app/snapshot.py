@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from m3r_app.arbiter.context import Step
-from m3r_app.events import ArbiterState
+from m3r_app.arbiter.events import ArbiterState
 from m3r_app.run_setup import Setting
 from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand
@@ -105,6 +105,8 @@ class Margin:
     fullness: float
     known: bool
     text: str
+    shown: str = ""
+    """What is shown of it where that is not the margin: of a battery its level."""
 
 
 def craft(name: str, telemetry: Telemetry, frame: LocalFrame, now_s: float, *, ours: bool) -> Craft:
@@ -180,7 +182,13 @@ def _battery(fraction: float | None, least: float) -> Margin:
         return Margin("battery", None, "%", 0.0, known=False, text="the battery is unknown")
     percent = 100.0 * (fraction - least)
     return Margin(
-        "battery", percent, "%", _share(fraction), known=True, text=f"{fraction:.0%}, at least {least:.0%} to fly"
+        "battery",
+        percent,
+        "%",
+        _share(fraction),
+        known=True,
+        text=f"{fraction:.0%}, at least {least:.0%} to fly",
+        shown=f"{100.0 * fraction:.0f} %",
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
-from m3r_app.modes import State
+from m3r_app.arbiter.modes import State
 from m3r_app.runtime import Shell
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.interface import VehicleError
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 
 HOLD_S = 5.0
 
@@ -16,15 +17,28 @@ HOLD_S = 5.0
 class GroundWork:
     """One take-off or landing at a time; STOP ends it in Hold. From the event loop only."""
 
-    def __init__(self, shell: Shell, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        shell: Shell,
+        say: Callable[[str], None],
+        against: Callable[[Vehicle, float], Awaitable[tuple[str, ...]]],
+    ) -> None:
+        """against: everything that can be known on the ground against a take-off of a drone to so many metres. Source: X8."""
         self._shell = shell
         self._say = say
+        self._against = against
         self._task: asyncio.Task[None] | None = None
         self._vehicle: Vehicle | None = None
 
     def take_off(self, colour: str, metres: float) -> None:
         """Take off to `metres` above the ground here, and hold."""
-        self._begin(colour, f"taking off to {metres:g} m", lambda vehicle: vehicle.takeoff(metres))
+        self._begin(colour, f"taking off to {metres:g} m", lambda vehicle: self._take_off(vehicle, metres))
+
+    async def _take_off(self, vehicle: Vehicle, metres: float) -> None:
+        reasons = await self._against(vehicle, metres)
+        if reasons:
+            raise VehicleError(f"{vehicle.colour.capitalize()}: not taking off, {'; '.join(reasons)}")
+        await vehicle.takeoff(metres)
 
     def land(self, colour: str) -> None:
         self._begin(colour, "landing", lambda vehicle: vehicle.land())

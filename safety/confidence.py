@@ -10,13 +10,14 @@ import math
 from safety.findings import amount, refused
 from safety.limits import Limits
 from safety.situation import Situation
-from safety.spatial import checked_sigma_m
+from safety.spatial import checked_sigma_m, profile
 from safety.vocabulary import Finding, ManeuverRequest, Modality, Path, VehicleState
 
 
 def confidence_of(sigma_m: float, half_m: float) -> float:
     """1 for a perfect sigma, 1/2 at half_m, towards 0 beyond; NaN if there is no accuracy."""
-    return 1.0 / (1.0 + (checked_sigma_m(sigma_m) / half_m) ** 2)
+    ratio = checked_sigma_m(sigma_m) / half_m
+    return 1.0 / (1.0 + ratio * ratio)  # a power would raise where a product overflows
 
 
 def input_confidence(request: ManeuverRequest, limits: Limits) -> Finding:
@@ -43,6 +44,10 @@ def localization(path: Path, situation: Situation, limits: Limits) -> Finding:
         return refused(name, requirements, "", f"the drone's position is {age} old")
     if not situation.vehicle.position.finite:
         return refused(name, requirements, "", "the drone's position is unknown")
+    speed_m_s = situation.vehicle.velocity.norm
+    if not speed_m_s <= limits.speed_plausible_m_s:
+        said = f"of {amount(speed_m_s, 'm/s')} is not plausible" if math.isfinite(speed_m_s) else "is unknown"
+        return refused(name, requirements, "", f"the drone's velocity {said}")
     off_m = situation.vehicle.disagreement.norm
     if not off_m <= limits.disagreement_m:
         return refused(name, requirements, "", "the drone's position does not move as its velocity says")
@@ -64,9 +69,23 @@ def terrain_confidence(path: Path, situation: Situation, limits: Limits) -> Find
     confidence = confidence_of(terrain.sigma_m, limits.terrain_half_m)
     if math.isnan(confidence):
         return refused(name, requirements, "", "the terrain model states no accuracy")
+    below_m = -float(profile(path, terrain)[0][0])
+    explained_m = underground_m(situation.vehicle, terrain.sigma_m, terrain.slope, limits)
+    if below_m > explained_m:
+        wrong = f"the drone is {amount(below_m)} under the terrain model where {amount(explained_m)} can be explained"
+        return refused(name, requirements, "", f"{wrong}: its height or the model's is wrong")
     margin = confidence - limits.terrain_confidence_min
     text = f"terrain known to {amount(terrain.sigma_m)}: confidence {confidence:.2f}, {limits.terrain_confidence_min:.2f} needed"
     return Finding(name, requirements, margin, "", margin >= 0.0, text)
+
+
+def underground_m(vehicle: VehicleState, terrain_sigma_m: float, slope: float, limits: Limits) -> float:
+    """How far under the terrain model a flying drone may seem to be, by what is uncertain of both; NaN: unknown.
+
+    Farther, its height and the model's do not agree: a wrong datum, and nothing that is computed from them holds. Source: X6.
+    """
+    vertical_m = checked_sigma_m(vehicle.sigma_v_m) + slope * checked_sigma_m(vehicle.sigma_h_m)
+    return limits.sigma_k * (vertical_m + checked_sigma_m(terrain_sigma_m))
 
 
 def authority(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -83,6 +102,8 @@ def unfit_to_fly(vehicle: VehicleState, limits: Limits) -> str | None:
     """What stands against any maneuver of this vehicle, as a sentence; None: nothing. Source: X8."""
     if not vehicle.healthy:
         return "the drone reports that it is not healthy"
+    if vehicle.battery is not None and math.isnan(vehicle.battery):
+        return "its battery is unknown"
     if vehicle.battery is not None and not vehicle.battery >= limits.battery_min:
         return f"its battery is at {100.0 * vehicle.battery:.0f} %, {100.0 * limits.battery_min:.0f} % needed"
     return None

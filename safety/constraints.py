@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from safety import confidence
+from safety import confidence, spatial
 from safety import separation as others
-from safety import spatial as bounds
 from safety.envelope import envelope
 from safety.findings import SPARE_M
 from safety.limits import Limits
@@ -52,13 +51,13 @@ RULES: tuple[Rule, ...] = (
     Rule("terrain_confidence", ("R11", "X6"), confidence.terrain_confidence),
     Rule("neighbour_age", ("R11", "X6"), others.neighbour_age),
     Rule("envelope", ("R8", "G6"), envelope, Subject.PLAN, hard=True),
-    Rule("workspace", ("R7",), bounds.workspace, hard=True),
-    Rule("session", ("X1",), bounds.session, hard=True),
-    Rule("geofence", ("G4",), bounds.geofence, hard=True),
-    Rule("standoff", ("X2",), bounds.standoff, hard=True),
-    Rule("terrain_clearance", ("R3", "R4", "G2"), bounds.terrain_clearance, hard=True),
-    Rule("agl", ("R3", "G5"), bounds.agl, hard=True),
-    Rule("obstacle_clearance", ("R3", "R4", "G2"), bounds.obstacle_clearance, hard=True),
+    Rule("workspace", ("R7",), spatial.workspace, hard=True),
+    Rule("session", ("X1",), spatial.session, hard=True),
+    Rule("geofence", ("G4",), spatial.geofence, hard=True),
+    Rule("standoff", ("X2",), spatial.standoff, hard=True),
+    Rule("terrain_clearance", ("R3", "R4", "G2"), spatial.terrain_clearance, hard=True),
+    Rule("agl", ("R3", "G5"), spatial.agl, hard=True),
+    Rule("obstacle_clearance", ("R3", "R4", "G2"), spatial.obstacle_clearance, hard=True),
     Rule("separation", ("R5", "R6", "G3"), others.separation, hard=True),
     Rule("reservation", ("R5", "X10"), others.reservation),
 )
@@ -104,8 +103,9 @@ def nearby(
     centre, half = Ned(*(0.5 * (low + high) for low, high in box)), Ned(*(0.5 * (high - low) for low, high in box))
     # From anywhere on the path it must still be seen as far as required, and the spare beyond.
     reach_m = max(limits.clearance_m, limits.obstacle_clearance_m, limits.min_agl_m) + SPARE_M + 0.1
-    reach_m += bounds.error_m(vehicle.sigma_m, limits)
-    reach_m += limits.sigma_k * (bounds.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
+    sigma_m = math.hypot(spatial.checked_sigma_m(vehicle.sigma_h_m), spatial.checked_sigma_m(vehicle.sigma_v_m))
+    reach_m += spatial.error_m(sigma_m, limits)
+    reach_m += limits.sigma_k * (spatial.checked_sigma_m(terrain.sigma_m) if terrain is not None else 0.0)
     travel_m = max(math.dist(point, points[0]) for point in points)
     until_s = float(path.times_s[-1])
     if not (math.isfinite(reach_m + until_s) and np.isfinite(path.points_ned_m).all()):

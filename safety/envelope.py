@@ -6,6 +6,7 @@ import math
 
 from safety.findings import amount, refused
 from safety.limits import Limits
+from safety.planner import stopping_m
 from safety.situation import Situation
 from safety.vocabulary import Finding, Plan, Primitive
 
@@ -16,7 +17,8 @@ ROUNDING = 1e-6
 def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
     """Displacement, speeds, accelerations, yaw rate and duration within the bounds. The worst relative margin is reported.
 
-    The way back to the anchor may be as long as the workspace is wide: it is no step of the operator's.
+    The way back to the anchor may be as long as the workspace is wide: it is no step of the operator's. A plan starts at
+    rest: what the drone still coasts may not leave the tube about the path, which is what every distance counts with.
     """
     name, requirements = "envelope", ("R8", "G6")
     goal, direction = plan.goal, plan.direction
@@ -27,6 +29,7 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
     turn_deg_s = limits.yaw_rate_deg_s
     peak_m_s = plan.peak_speed_m_s
     longest_s = plan.duration_s * limits.duration_factor + limits.duration_extra_s
+    coasting_m = stopping_m(situation.vehicle.velocity.norm, limits)
     # (what, value, bound, unit)
     asked = (
         ("sideways step", move.horizontal, sideways_m, "m"),
@@ -36,12 +39,13 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
         ("acceleration", plan.move.acceleration if plan.length_m > 0.0 else 0.0, limits.acceleration_m_s2, "m/s\N{SUPERSCRIPT TWO}"),
         ("turn rate", plan.peak_yaw_rate_deg_s, turn_deg_s, "deg/s"),
         ("duration", plan.max_duration_s, longest_s, "s"),
+        ("coasting before it starts", coasting_m, limits.tracking_m, "m"),
     )  # fmt: skip
     worst = None
     for what, value, bound, unit in asked:
         margin = bound - value
         if not math.isfinite(margin):
-            return refused(name, requirements, unit, f"the plan's {what} is no number")
+            return refused(name, requirements, unit, f"the plan's {what} is not finite")
         if abs(margin) <= ROUNDING * bound:
             margin = 0.0
         relative = margin / bound if bound > 0.0 else math.copysign(math.inf, margin) if margin else 0.0

@@ -24,8 +24,8 @@ class Geofence:
     """inf: none"""
     origin_amsl_m: float
     """Altitude of the local frame's origin."""
-    all_inside: bool | None = None
-    """After `near`, where no edge is within its reach: is everything there inside, or outside?"""
+    all_inside: bool = False
+    """After `near`: everything within its reach is inside."""
 
     @staticmethod
     def of(polygon_ne_m: shapely.Polygon, floor_amsl_m: float, ceiling_amsl_m: float, origin_amsl_m: float) -> Geofence:
@@ -43,10 +43,19 @@ class Geofence:
         return self.floor_amsl_m == -math.inf and self.ceiling_amsl_m == math.inf
 
     def near(self, centre: Ned, reach_m: float) -> Geofence:
-        """The same with only the edges that matter to points within reach_m of centre."""
-        polygon, _ = self.polygon.near(centre, reach_m)
+        """The same with only the edges that matter to points within reach_m of centre; whole where that is outside.
+
+        How far outside is compared along a path (X13), and must not be cut off.
+        """
+        if not bool(self.polygon.contain(centre)[0]):
+            return self
+        polygon, _ = self.polygon.near(centre, reach_m, deep=False)
         return Geofence(
-            polygon, self.floor_amsl_m, self.ceiling_amsl_m, self.origin_amsl_m, polygon.all_inside(centre, reach_m)
+            polygon,
+            self.floor_amsl_m,
+            self.ceiling_amsl_m,
+            self.origin_amsl_m,
+            not polygon.may_end_within(centre, reach_m),
         )
 
     def level_m(self, points_ned_m: Floats) -> Floats:
@@ -54,10 +63,9 @@ class Geofence:
 
         After `near`, never more than what it can vouch for.
         """
-        if self.all_inside is None:
-            return -self.polygon.distance_m(points_ned_m[:, :2])[:, 0]
-        vouched_m = self.polygon.vouched_m(points_ned_m[:, :2])
-        return vouched_m if self.all_inside else -vouched_m
+        if self.all_inside:
+            return self.polygon.vouched_m(points_ned_m[:, :2])
+        return -self.polygon.distance_m(points_ned_m[:, :2])[:, 0]
 
     def upright_m(self, points_ned_m: Floats) -> Floats:
         """(n,) vertical distance of (n, 3) points to floor or ceiling, the nearer: positive between them."""

@@ -58,6 +58,14 @@ class Limits:
     terrain_half_m: float = 2.0
     disagreement_m: float = 0.5
     """How far the position may lately have moved otherwise than the velocity says (X6)."""
+    noisy_disagreement_m: float = 2.0
+    """... at least, once a hover has shown noise."""
+    disagreement_max_m: float = 4.0
+    """... and no noise that is observed in a hover may widen that beyond this."""
+    jump_m: float = 0.5
+    """A position that moves otherwise than its velocity says by more than this at once has jumped (an estimator's reset)."""
+    speed_plausible_m_s: float = 20.0
+    """A drone that says it flies faster is not believed: what it says is unknown (X6)."""
     battery_min: float = 0.2
     """Remaining fraction below which no maneuver is flown (X8)."""
     telemetry_age_s: float = 0.5
@@ -68,6 +76,18 @@ class Limits:
     stop_deceleration_m_s2: float = 1.5
     tracking_m: float = 0.3
     """Radius of the tube about the path that the vehicle stays in, gusts included."""
+    noisy_tracking_m: float = 1.0
+    """... and no narrower than this once a hover has shown noise: a few seconds show little of what comes in minutes."""
+    tracking_max_m: float = 2.0
+    """A drone whose estimate wanders so much that the tube would be wider is not flown."""
+    rest_m_s: float = 0.1
+    """Slower than this, motion has stopped."""
+    hover_s: float = 1.0
+    """So long a hover is observed before pairing is confirmed ..."""
+    learn_s: float = 8.0
+    """... and so long where it shows more noise than the limits are made for."""
+    noise_k: float = 3.0
+    """How many standard deviations of the observed noise are allowed for."""
     # Decisions
     bisection_m: float = 0.01
     delay_s: float = 3.0

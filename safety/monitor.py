@@ -15,7 +15,7 @@ import numpy as np
 
 from safety.constraints import RULES, Rule, Subject, nearby
 from safety.limits import Limits
-from safety.planner import SPACING_M, stopping_m
+from safety.planner import spaced, stopping_m
 from safety.situation import Situation, near_as_before
 from safety.spatial import profile
 from safety.terrain import TerrainPatch
@@ -30,13 +30,14 @@ A predicted margin may dip by the tube about the path, which was counted against
 """
 RECORDED_M = 20.0
 """How far from the drone the terrain is looked for, for the record."""
-KNOWN = frozenset({"neighbour_age", "localization"})
-"""Not hard limits of their own, but without them nothing can be predicted (R11, X6)."""
+KNOWN = frozenset({"neighbour_age", "localization", "reservation"})
+"""No hard limits of their own, but without them nothing can be predicted, or somebody else relies on the air (R11, X6, X10)."""
 
 
 Kind = Literal["predicted", "actual"]
-Baseline = dict[tuple[Kind, str], float]
-"""By kind and constraint: the margins that were negative when a maneuver began, measured as they are watched (X13)."""
+Baseline = dict[tuple[Kind, str, str], float]
+"""By kind, constraint and object: the margins that were negative when a maneuver began, and the best that each has been since,
+measured as they are watched (X13). What is in here is mended; what comes new is a breach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class Watch:
 
     clearance_m: while a plan is flown, to terrain and obstacles; the terrain is looked for within 20 m.
 
-    negative: the margins below zero by kind and constraint, which the next look at the same maneuver may find no lower.
+    negative: the baseline of the next look at the same maneuver, which may find no margin lower.
     """
 
     breaches: tuple[Breach, ...]
@@ -79,10 +80,11 @@ def watch(
 ) -> Watch:
     """Check every hard constraint on the measured state, and that what they need is known.
 
-    speed_m_s: filtered; elapsed_s: since the plan's start; baseline: margins that were negative when it began, which may
-    only rise (design 8). plan None: hovering, where nothing is predicted. What cannot be judged is a predicted breach.
+    speed_m_s: filtered; elapsed_s: since the plan's start; baseline: what the last look said, empty at the first: margins
+    that were negative when it began may only rise (design 8). plan None: hovering, where nothing is predicted. What cannot
+    be judged is a predicted breach.
     """
-    ahead = _stopping_path(situation, limits)
+    ahead = stopping_path(situation, limits)
     scene = nearby(situation, ahead, limits, near_as_before)
     hard, watched = _watched(rules)
     vehicle = situation.vehicle
@@ -105,8 +107,14 @@ def watch(
         tuple(breaches),
         _clearance_m(situation, scene, ahead, here) if plan is not None else None,
         _distance(now, "separation", limits.separation_m),
-        {(kind, f.constraint): f.margin for kind, f in found if f.margin is not None and f.margin < 0.0},
+        ratcheted(found, baseline),
     )
+
+
+def ratcheted(found: list[tuple[Kind, Finding]], baseline: Baseline) -> Baseline:
+    """The best that each margin of the baseline has been, up to zero; at the first look, what is below zero. Source: X13."""
+    below = {(kind, f.constraint, of): margin for kind, f in found for of, margin in f.below if margin < 0.0}
+    return {key: max(best, below.get(key, 0.0)) for key, best in baseline.items()} if baseline else below
 
 
 @lru_cache(maxsize=8)
@@ -130,15 +138,15 @@ def _wary(limits: Limits) -> Limits:
     return replace(limits, tracking_m=0.0, horizon_s=LOOK_AHEAD_S)
 
 
-def _stopping_path(situation: Situation, limits: Limits) -> Path:
+def stopping_path(situation: Situation, limits: Limits) -> Path:
     """From here on along the measured velocity, as far as it takes to stop."""
     vehicle = situation.vehicle
     speed_m_s = vehicle.velocity.norm
     length_m = stopping_m(speed_m_s, limits)
-    if not length_m > 1e-3:
+    if not length_m > 1e-3 or not speed_m_s <= limits.speed_plausible_m_s:
+        # A speed that is not believed leads nowhere that could be judged; `localization` refuses it.
         return Path(np.array([vehicle.position]), np.zeros(1))
-    n = max(2, math.ceil(length_m / SPACING_M) + 1)
-    fractions = np.linspace(0.0, 1.0, n)
+    fractions = np.linspace(0.0, 1.0, spaced(length_m))
     direction = np.asarray(vehicle.velocity) / speed_m_s
     points = np.asarray(vehicle.position) + np.outer(fractions * length_m, direction)
     return Path(points, fractions * (limits.lag_s + speed_m_s / limits.stop_deceleration_m_s2))
@@ -178,8 +186,8 @@ def _negative(finding: Finding) -> bool:
 
 
 def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
-    first = baseline.get((kind, f.constraint))
-    mending = first is not None and f.margin is not None and f.margin >= first - ease
+    best = [baseline.get((kind, f.constraint, of), math.inf) for of, _ in f.below]
+    mending = bool(f.below) and all(margin >= b - ease for b, (_, margin) in zip(best, f.below, strict=True))
     return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
 
 

@@ -31,6 +31,8 @@ class Obstacles:
     centre: Ned
     reach_m: float
     """Prisms farther than this from the centre are left out."""
+    numbers: tuple[int, ...]
+    """(m,) which of all declared ones each is: names may be shared"""
 
     @staticmethod
     def of(
@@ -55,7 +57,9 @@ class Obstacles:
             if not base < top:
                 raise ValueError(f"obstacle {name!r}: its top ({top} m) must be above its base ({base} m)")
         polygons = Polygons.of(polygons_ne_m)
-        return Obstacles(tuple(names), polygons, bases, tops, origin_amsl_m, len(names), Ned(0.0, 0.0, 0.0), math.inf)
+        numbers = tuple(range(len(names)))
+        here = Ned(0.0, 0.0, 0.0)
+        return Obstacles(tuple(names), polygons, bases, tops, origin_amsl_m, len(names), here, math.inf, numbers)
 
     @staticmethod
     def none(origin_amsl_m: float = 0.0) -> Obstacles:
@@ -79,6 +83,7 @@ class Obstacles:
             self.declared,
             centre,
             reach_m,
+            tuple(self.numbers[i] for i in which.tolist()),
         )
 
     def distance_m(self, points_ned_m: Floats) -> Floats:

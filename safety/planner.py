@@ -11,6 +11,8 @@ from safety.limits import Limits
 from safety.vocabulary import Ned, Path, Plan, Primitive, Profile
 
 SPACING_M = 0.1
+POINTS_MOST = 512
+"""A path has no more points than this, however long it is: coarser is judged more strictly, and work stays bounded (X6)."""
 FACING_DEG = 15.0
 """A nose further off the operator's bearing than this turns before the drone moves."""
 ABOVE_M = 1e-6
@@ -31,7 +33,7 @@ def full_speed_m_s(primitive: Primitive, limits: Limits) -> float:
 
 def stopping_m(speed_m_s: float, limits: Limits) -> float:
     """How far the vehicle coasts when told to hold at this speed: its lag, then braking. Source: X11."""
-    return speed_m_s * limits.lag_s + speed_m_s**2 / (2.0 * limits.stop_deceleration_m_s2)
+    return speed_m_s * limits.lag_s + speed_m_s * speed_m_s / (2.0 * limits.stop_deceleration_m_s2)
 
 
 def length_reaching_m(reach_m: float, speed_m_s: float, limits: Limits) -> float:
@@ -64,12 +66,22 @@ def plan_translation(
     return _straight(primitive, start, yaw_deg, operator, direction, length_m, speed_m_s, limits)
 
 
-def plan_return(start: Ned, yaw_deg: float, operator: Ned, anchor: Ned, limits: Limits) -> Plan:
-    """The straight way back to the anchor at the descent speed. Source: paper III (ReturnToAnchor), design 14."""
+def plan_return(
+    start: Ned, yaw_deg: float, operator: Ned, anchor: Ned, limits: Limits, anchor_yaw_deg: float | None = None
+) -> Plan:
+    """The straight way back to the anchor at the descent speed. Source: paper III (ReturnToAnchor), design 14.
+
+    anchor_yaw_deg: how the nose pointed there, which it does again at the end (psi of the anchor); None: at the operator.
+
+    Raises ValueError where the anchor is so far that this is no way within the workspace.
+    """
     way = anchor.minus(start)
     length_m = way.norm
+    if not length_m <= 2.0 * limits.workspace_m:
+        raise ValueError("the anchor is nowhere near")
     direction = Ned(*(c / length_m for c in way)) if length_m > 1e-6 else STILL
-    return _straight(Primitive.RETURN, start, yaw_deg, operator, direction, length_m, limits.descend_speed_m_s, limits)
+    speed_m_s = limits.descend_speed_m_s
+    return _straight(Primitive.RETURN, start, yaw_deg, operator, direction, length_m, speed_m_s, limits, anchor_yaw_deg)
 
 
 def plan_scan(primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, left_deg: float, limits: Limits) -> Plan:
@@ -93,23 +105,28 @@ def plan_scan(primitive: Primitive, start: Ned, yaw_deg: float, operator: Ned, l
 
 def swept(plan: Plan, limits: Limits) -> Path:
     """The polyline that the rules check: the turn before the move, the whole move, the stopping distance. Source: X11."""
-    length_m = plan.length_m
+    length_m, until_s = plan.length_m, plan.max_duration_s
     if length_m <= 0.0:
-        return Path(np.array([plan.start, plan.start]), np.array([0.0, plan.duration_s]))
-    n = max(2, math.ceil(length_m / SPACING_M) + 1)
+        return Path(np.array([plan.start, plan.start]), np.array([0.0, plan.duration_s]), until_s=until_s)
+    n = spaced(length_m)
     covered_m = [length_m * i / (n - 1) for i in range(n)]
     times_s = [plan.move_from_s + plan.move.time_at(s) for s in covered_m]
     if plan.move_from_s > 0.0:
         # While the nose turns to the operator the drone hovers at the start, and others fly on.
         covered_m, times_s = [0.0, *covered_m], [0.0, *times_s]
     if plan.stop_m > 0.0:
-        pieces = max(1, math.ceil(plan.stop_m / SPACING_M))
+        pieces = spaced(plan.stop_m) - 1
         covered_m += [length_m + plan.stop_m * (i + 1) / pieces for i in range(pieces)]
         end_s = times_s[-1]
         times_s += [end_s + limits.lag_s * (i + 1) / pieces for i in range(pieces)]
     (north, east, down), (d_north, d_east, d_down) = plan.start, plan.direction
     points = np.array([(north + d_north * s, east + d_east * s, down + d_down * s) for s in covered_m])
-    return Path(points, np.array(times_s), slack_m=plan.stop_m)
+    return Path(points, np.array(times_s), plan.stop_m, until_s)
+
+
+def spaced(length_m: float) -> int:
+    """How many points a straight piece of path has."""
+    return min(max(2, math.ceil(length_m / SPACING_M) + 1), POINTS_MOST)
 
 
 def _straight(
@@ -121,10 +138,13 @@ def _straight(
     length_m: float,
     speed_m_s: float,
     limits: Limits,
+    goal_yaw_deg: float | None = None,
 ) -> Plan:
+    """goal_yaw_deg: where the nose points at the end; None: at the operator."""
     move = Profile(length_m, speed_m_s, limits.acceleration_m_s2)
     goal = start.plus(Ned(*(c * length_m for c in direction)))
-    turn_deg = wrap_deg(_facing_deg(goal, operator, yaw_deg) - yaw_deg)
+    facing_deg = _facing_deg(goal, operator, yaw_deg)
+    turn_deg = wrap_deg((goal_yaw_deg if goal_yaw_deg is not None else facing_deg) - yaw_deg)
     turn = Profile(abs(turn_deg), limits.yaw_rate_deg_s, limits.yaw_acceleration_deg_s2)
     face_first = abs(wrap_deg(_facing_deg(start, operator, yaw_deg) - yaw_deg)) > FACING_DEG
     nominal_s = max(move.duration_s + (turn.duration_s if face_first else 0.0), turn.duration_s)
@@ -145,7 +165,7 @@ def _straight(
 def _facing_deg(place: Ned, operator: Ned, yaw_deg: float) -> float:
     """The bearing of the operator; straight above the operator there is none: the nose stays where it is.
 
-    Raises ValueError where it cannot be known: a setpoint that is no number would be flown (X6).
+    Raises ValueError where it cannot be known: a setpoint that is not finite would be flown (X6).
     """
     facing_deg = yaw_deg if place.minus(operator).horizontal <= ABOVE_M else bearing_deg(place, operator)
     if not (math.isfinite(facing_deg) and math.isfinite(yaw_deg) and place.finite):

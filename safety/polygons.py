@@ -36,6 +36,8 @@ class Polygons:
     """(2,)"""
     reach_m: float
     """Only edges that matter to points within this of the centre are kept."""
+    whole: Bools
+    """(m,) those of which all edges are kept: of them nothing is cut off."""
 
     @staticmethod
     def of(polygons: Sequence[shapely.Polygon]) -> Polygons:
@@ -45,7 +47,7 @@ class Polygons:
             if not isinstance(polygon, shapely.Polygon) or polygon.is_empty:
                 raise ValueError(f"polygon {number + 1} is empty or no polygon")
             if not np.isfinite(shapely.get_coordinates(polygon)).all():
-                raise ValueError(f"polygon {number + 1} has a corner that is no number")
+                raise ValueError(f"polygon {number + 1} has a corner that is not finite")
             if not polygon.is_valid:
                 raise ValueError(f"polygon {number + 1} is not valid: {shapely.is_valid_reason(polygon)}")
             firsts.append(count)
@@ -67,23 +69,30 @@ class Polygons:
         # An edge that runs north has no line to be north of, and is never asked for one.
         maps[0, 2], maps[1, 2] = 1.0, -np.divide(north, east, out=np.zeros(count), where=east != 0.0)
         maps[2] = -(maps[0] * edges[0] + maps[1] * edges[1])
-        return Polygons(edges, maps, lengths, np.array(firsts, dtype=np.intp), np.zeros(2), math.inf)
+        whole = np.ones(len(firsts), dtype=np.bool_)
+        return Polygons(edges, maps, lengths, np.array(firsts, dtype=np.intp), np.zeros(2), math.inf, whole)
 
     def __len__(self) -> int:
         return len(self.firsts)
 
-    def near(self, centre: Ned, reach_m: float, among: Bools | None = None) -> tuple[Polygons, Ints]:
+    def near(
+        self, centre: Ned, reach_m: float, among: Bools | None = None, *, deep: bool = True
+    ) -> tuple[Polygons, Ints]:
         """Those with an edge that can matter to points within reach_m of centre, and their indices.
 
-        among: (m,) which polygons to look at; all of them if None.
+        among: (m,) which polygons to look at; all of them if None. deep: those that the centre is inside of stay whole, for
+        how deep inside is compared along a path (X13) and must not be cut off.
         """
         north, east, end_north, end_east = self.edges
         # The test for "inside" looks north from a point: edges beside that strip, or south of it, cannot count.
         matters = np.minimum(east, end_east) <= centre.east + reach_m
         matters &= np.maximum(east, end_east) >= centre.east - reach_m
         matters &= np.maximum(north, end_north) >= centre.north - reach_m
-        if among is not None and len(self):
-            matters &= np.repeat(among, np.diff(self.firsts, append=north.size))
+        per_polygon = np.diff(self.firsts, append=north.size)
+        whole = self.contain(centre) & deep
+        matters |= np.repeat(whole, per_polygon)
+        if among is not None:
+            matters &= np.repeat(among, per_polygon)
         kept = np.add.reduceat(matters.astype(np.intp), self.firsts) if len(self) else np.zeros(0, dtype=np.intp)
         which = np.flatnonzero(kept)
         counts = kept[which]
@@ -96,25 +105,37 @@ class Polygons:
             firsts,
             np.array(centre[:2]),
             reach_m,
+            whole[which],
         )
         return cut, which
+
+    def contain(self, place: Ned) -> Bools:
+        """(m,) whether a place is inside each polygon."""
+        if not len(self):
+            return np.zeros(0, dtype=np.bool_)
+        point = np.array((place.north, place.east, 1.0))
+        return np.asarray(np.logical_xor.reduceat(self._south_of(point[1], point @ self.maps[:, 2]), self.firsts))
+
+    def _south_of(self, east: Floats, beyond: Floats) -> Bools:
+        """(..., e) whether an edge runs straight north of a point. It holds its lower end in east but not its upper one."""
+        return np.asarray(((east >= self.edges[1]) != (east >= self.edges[3])) & (beyond < 0.0))
 
     def distance_m(self, points_ne_m: Floats) -> Floats:
         """(n, m) signed distance of (n, 2) points: negative inside, positive outside (a hole is outside).
 
-        After `near`, never more than what it can vouch for: reach_m less the point's distance from the centre.
+        After `near`, never more than what it can vouch for, unless the polygon stayed whole: reach_m less the point's
+        distance from the centre.
         """
         count = len(self.lengths_m)
         found = points_ne_m @ self.maps[:2].reshape(2, -1) + self.maps[2].reshape(-1)
         along, beside, beyond = found[:, :count], found[:, count : 2 * count], found[:, 2 * count :]
         over = along - np.minimum(np.maximum(along, 0.0), self.lengths_m)
         distance = np.sqrt(np.minimum.reduceat(beside * beside + over * over, self.firsts, axis=1))
-        # Count the edges straight north of the point. An edge holds its lower end in east but not its upper one.
-        east = points_ne_m[:, 1, None]
-        crossed = ((east >= self.edges[1]) != (east >= self.edges[3])) & (beyond < 0.0)
-        inside = np.logical_xor.reduceat(crossed, self.firsts, axis=1)
+        # An odd number of edges straight north of the point means inside.
+        inside = np.logical_xor.reduceat(self._south_of(points_ne_m[:, 1, None], beyond), self.firsts, axis=1)
         if self.reach_m < math.inf:
-            distance = np.minimum(distance, self.vouched_m(points_ne_m)[:, None])
+            vouched = np.where(self.whole, math.inf, self.vouched_m(points_ne_m)[:, None])
+            distance = np.minimum(distance, vouched)
         return np.where(inside, -distance, distance)
 
     def vouched_m(self, points_ne_m: Floats) -> Floats:
@@ -122,15 +143,9 @@ class Polygons:
         about = points_ne_m - self.centre_ne_m
         return np.asarray(np.maximum(self.reach_m - np.sqrt((about * about) @ _ONES), 0.0))
 
-    def all_inside(self, centre: Ned, reach_m: float) -> bool | None:
-        """Of one polygon: is everything within reach_m of centre inside it, or outside? None: an edge may be in between."""
-        inside = False
-        for north, east, end_north, end_east in self.edges.T.tolist():
-            if not min(north, end_north) > centre.north + reach_m:
-                return None
-            # An edge farther north separates nothing; an odd number of them straight north means inside.
-            inside ^= (centre.east >= east) != (centre.east >= end_east)
-        return inside
+    def may_end_within(self, centre: Ned, reach_m: float) -> bool:
+        """Can one of the edges be within reach_m of centre? Those farther north are kept for the test of "inside" alone."""
+        return not bool((np.minimum(self.edges[0], self.edges[2]) > centre.north + reach_m).all())
 
 
 _ONES = np.ones(2)

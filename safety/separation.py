@@ -17,6 +17,8 @@ from safety.spatial import NO_ACCURACY, error_m
 from safety.vocabulary import Finding, Floats, Neighbours, Path, ReservedVolume
 
 _ONES = np.ones(3)
+DIP_M = 0.05
+"""A neighbour that is too close already may come this much nearer before it counts: what velocities are wrong by (X13)."""
 
 
 def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -30,10 +32,68 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     if not len(neighbours):
         return Finding(name, requirements, None, "m", True, "no other aircraft")
     now, velocities, required = _sky(situation, limits)
+    required = required + path.slack_m
+    known = np.isfinite(now.sum(axis=0) + velocities.sum(axis=0) + required + path.points_ned_m.sum())
+    if not known.all():
+        text = (
+            f"separation from {neighbours.names[int(known.argmin())]} cannot be judged: its state or ours is incomplete"
+        )
+        return refused(name, requirements, "m", text)
     times = np.append(path.times_s, max(float(path.times_s[-1]), limits.horizon_s))
     own = np.concatenate((path.points_ned_m, path.points_ned_m[-1:])).T
     # (3, n + 1, k): where the drone is as its neighbours see it; straight lines between the times.
     apart = own[:, :, None] - (now[:, None, :] + times[:, None] * velocities[:, None, :])
+    lowest = nearest_m(apart).min(axis=0) - required
+    k = int(lowest.argmin())
+    if lowest[k] >= -EPSILON:
+        margin = max(float(lowest[k]), 0.0)
+        return Finding(name, requirements, margin, "m", True, f"{neighbours.names[k]}: {amount(margin)} to spare")
+    broken = lowest < -EPSILON
+    failing = broken
+    if len(path.times_s) > 1:
+        already = np.sqrt((apart[:, 0] ** 2).sum(axis=0)) < required
+        failing = broken & ~(already & _never_closer(path, now, velocities, limits))
+    passed = not failing.any()
+    # The margin is the smallest of all, the sentence is about the worst that fails.
+    told = k if passed else int(np.where(failing, lowest, np.inf).argmin())
+    text = f"{amount(float(lowest[told]))} too close to {neighbours.names[told]}"
+    if passed:
+        text += " already, and this does not make it worse"
+    below = tuple((neighbours.names[i], float(lowest[i])) for i in np.flatnonzero(broken).tolist())
+    return Finding(name, requirements, float(lowest[k]), "m", passed, text, below)
+
+
+def _never_closer(path: Path, now: Floats, velocities: Floats, limits: Limits) -> NDArray[np.bool_]:
+    """(k,) whether each neighbour, continuously in time, never gets nearer than it has been, but for DIP_M. Source: X13.
+
+    It must hold wherever the drone may be along its path: where the time says, later by the vehicle's lag, or as far ahead
+    as slack_m. now, velocities: (3, k) of the neighbours.
+    """
+    points, times = path.points_ned_m, path.times_s
+    end_s = max(float(times[-1]), limits.horizon_s)
+    covered = np.concatenate(([0.0], np.cumsum(gaps_m(path))))
+    total_m = float(covered[-1])
+    way = (points[-1] - points[0]) / total_m if total_m > 0.0 else np.zeros(3)
+    ahead = points[0] + np.minimum(covered + path.slack_m, total_m)[:, None] * way
+    tracks = (
+        (points, times),
+        (np.concatenate((points[:1], points)), np.concatenate(([0.0], times + limits.lag_s))),
+        (ahead, times),
+    )
+    kept = np.ones(now.shape[1], dtype=np.bool_)
+    for own, when in tracks:
+        # The hover where the path ends goes on until others cannot matter any more.
+        places = np.concatenate((own, own[-1:])).T
+        moments = np.append(when, max(end_s, float(when[-1])))
+        apart = places[:, :, None] - (now[:, None, :] + moments[:, None] * velocities[:, None, :])
+        distance = np.sqrt(np.einsum("xnk,xnk->nk", apart, apart))
+        farthest = np.maximum.accumulate(distance[:-1], axis=0)
+        kept &= (nearest_m(apart) >= farthest - DIP_M).all(axis=0)
+    return kept
+
+
+def nearest_m(apart: Floats) -> Floats:
+    """(n - 1, k) least distance between two things on each stretch of straight flight. apart: (3, n, k) one from the other."""
     squares = np.einsum("xnk,xnk->nk", apart, apart)
     first, last = squares[:-1], squares[1:]
     onward = np.einsum("xnk,xnk->nk", apart[:, :-1], apart[:, 1:]) - first
@@ -43,46 +103,24 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     if dips.any():
         dip = first - onward * onward / np.where(dips, length, 1.0)
         nearest = np.where(dips, np.minimum(nearest, dip), nearest)
-    required = required + path.slack_m
-    least = np.sqrt(np.maximum(nearest, 0.0)) - required
-    lowest = least.min(axis=0)
-    known = np.isfinite(squares.sum(axis=0) + lowest)
-    if not known.all():
-        k = int(known.argmin())
-        text = f"separation from {neighbours.names[k]} cannot be judged: its state or ours is incomplete"
-        return refused(name, requirements, "m", text)
-    k = int(lowest.argmin())
-    if lowest[k] >= -EPSILON:
-        margin = max(float(lowest[k]), 0.0)
-        return Finding(name, requirements, margin, "m", True, f"{neighbours.names[k]}: {amount(margin)} to spare")
-    margins = np.sqrt(squares) - required
-    # Already too close: admissible if no sample of the path is nearer than the one before it, and the hover not than now.
-    mending = (margins[0] < 0.0) & (len(path.times_s) > 1) & (least[-1] >= margins[0] - EPSILON)
-    mending &= (margins[1:-1] >= margins[:-2] - EPSILON).all(axis=0)
-    failing = (lowest < -EPSILON) & ~mending
-    passed = not failing.any()
-    # The margin is the smallest of all, the sentence is about the worst that fails.
-    told = k if passed else int(np.where(failing, lowest, np.inf).argmin())
-    text = f"{amount(float(lowest[told]))} too close to {neighbours.names[told]}"
-    if passed:
-        text += " already, and this does not make it worse"
-    return Finding(name, requirements, float(lowest[k]), "m", passed, text)
+    return np.asarray(np.sqrt(np.maximum(nearest, 0.0)))
 
 
 def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:
     """No volume that somebody else holds meanwhile meets the one that the path would need. Source: R5, X10.
 
     It needs what `volumes.swept_volume` reserves for it, half the separation included, and all of it from its beginning:
-    what passes here is not denied by the authority for a volume that is known here. A hover reserves nothing.
+    what passes here is not denied by the authority for a volume that is known here, so there is no mending either. A hover
+    reserves nothing.
     """
     name, requirements = "reservation", ("R5", "X10")
     start_s = situation.now_s + float(path.times_s[0])
-    end_s = situation.now_s + max(float(path.times_s[-1]), limits.horizon_s)
+    end_s = situation.now_s + max(float(path.times_s[-1]), limits.horizon_s, path.until_s)
     if not math.isfinite(end_s):
         return refused(name, requirements, "m", "reserved volumes cannot be judged: the path has no times")
     found = [
-        _one_reservation(name, requirements, volume, path, situation, limits)
-        for volume in situation.reservations
+        _one_reservation(name, requirements, f"{volume.holder} ({i})", volume, path, situation, limits)
+        for i, volume in enumerate(situation.reservations)
         # A window that is no window (NaN) is not passed over.
         if not (volume.until_s < start_s or volume.from_s > end_s)
     ]
@@ -125,18 +163,21 @@ def neighbours_that_matter(
 ) -> Neighbours:
     """Without those that cannot change any finding on a path that stays within travel_m of start and ends by until_s.
 
-    Kept are all that could come too close, and all that could be the closest. A state that is no number is kept.
+    Kept are all that could come too close, and all that could be the closest. A state that is not finite is kept.
     """
     neighbours = situation.neighbours
     if len(neighbours) < 2:
         return neighbours
     ages = situation.now_s - neighbours.at_s
     velocities = neighbours.velocities_ned_m_s
+    required = _required_m(neighbours, ages, situation, limits) + slack_m
+    if not np.isfinite(neighbours.positions_ned_m.sum() + velocities.sum() + required.sum()):
+        # Nobody can be left out: the rules will say what is missing.
+        return neighbours
     apart = start - neighbours.positions_ned_m - velocities * ages[:, None]
     squares = (velocities * velocities) @ _ONES
     along = (apart * velocities) @ _ONES / np.where(squares > 0.0, squares, 1.0)
     apart_then = apart - velocities * np.minimum(np.maximum(along, 0.0), max(until_s, limits.horizon_s))[:, None]
-    required = _required_m(neighbours, ages, situation, limits) + slack_m
     at_least = np.sqrt((apart_then * apart_then) @ _ONES) - travel_m - required
     at_most = float(np.fmin.reduce(np.sqrt((apart * apart) @ _ONES) - required))
     keep = ~(at_least > max(at_most, 0.0))
@@ -189,7 +230,13 @@ def _could_be_m(points: Floats, neighbours: Neighbours, ages: Floats, situation:
 
 
 def _one_reservation(
-    name: str, requirements: tuple[str, ...], volume: ReservedVolume, path: Path, situation: Situation, limits: Limits
+    name: str,
+    requirements: tuple[str, ...],
+    of: str,
+    volume: ReservedVolume,
+    path: Path,
+    situation: Situation,
+    limits: Limits,
 ) -> Finding:
     half_m = 0.5 * limits.separation_m if len(path.times_s) > 1 else 0.0
     own_m = error_m(situation.vehicle.sigma_m, limits) + path.slack_m + half_m
@@ -197,7 +244,7 @@ def _one_reservation(
     stretches = between(margins, gaps_m(path))
     who = volume.holder.replace("{", "{{").replace("}", "}}")
     return judge(name, requirements, margins, stretches, f"volume held by {volume.holder}",
-                 f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}")  # fmt: skip
+                 f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}", of=of)  # fmt: skip
 
 
 def _from_capsule(points: Floats, volume: ReservedVolume) -> Floats:

@@ -7,18 +7,31 @@ about the path that the vehicle stays in (X11). Source: paper III-E, III-F; desi
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from safety.findings import between, gaps_m, judge, once, refused, worst
+from safety.findings import between, gaps_m, judge, mends, once, refused, worst
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.vocabulary import Finding, Floats, Ned, Path
 
 if TYPE_CHECKING:
+    from safety.obstacles import Obstacles
     from safety.terrain import Terrain, TerrainPatch
 
+_AROUND = np.array(
+    [(0.0, 0.0, 1.0, 0.0)]
+    + [
+        (level, tube * level, math.cos(a), math.sin(a))
+        for level in (0.5, 1.0)
+        for tube in (0.0, 1.0)
+        for a in np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
+    ]
+)
+"""(65, 4) where the drone may be about where it is said to be: how far out, as a share of what the position may be wrong by
+sideways and of the tube's radius, and in which direction."""
 NO_ACCURACY = "cannot be judged: the drone's position or its accuracy is unknown"
 
 
@@ -51,6 +64,7 @@ def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Findi
         "{} too close to the terrain",
         _terrain_unknown("terrain clearance", required_m, terrain),
         far=True,
+        mending=lambda: mends(path, lambda points: terrain.clearance_m(points) - required_m),
     )
     # Where the model has no data there may be anything, so it keeps the same distance, and there is no way out of it.
     if found.margin is not None and found.margin < 0.0 and _misses(path, terrain, required_m):
@@ -62,7 +76,8 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
     """Height above ground along the swept path. Source: R3, G5.
 
     Being wrong sideways over a slope is being wrong in height. Two bounds hold of the true height, and the better one
-    counts: it is at least the 3D clearance less the error, and at least the height less the error times the slope.
+    counts: within the 3D clearance nothing is in the way of an error sideways and the height to be kept below it, and the
+    true height is at least the height less the error times the slope.
     """
     name, requirements = "agl", ("R3", "G5")
     terrain = situation.world.terrain
@@ -79,14 +94,30 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
     tilted_m = limits.tracking_m * stretch + k * (
         checked_sigma_m(vehicle.sigma_v_m) + terrain.slope * checked_sigma_m(vehicle.sigma_h_m)
     )
-    by_clearance = clearance - (limits.min_agl_m + terrain_m + error_m(vehicle.sigma_m, limits))
-    by_height = height - (limits.min_agl_m + terrain_m + tilted_m)
+    # It may be wrong sideways and in height at once; what must be free is as far below as the height that is to be kept.
+    down_m = limits.min_agl_m + terrain_m + k * checked_sigma_m(vehicle.sigma_v_m)
+    clearance_needed_m = math.hypot(k * checked_sigma_m(vehicle.sigma_h_m), down_m) + limits.tracking_m
+    height_needed_m = limits.min_agl_m + terrain_m + tilted_m
+    by_clearance, by_height = clearance - clearance_needed_m, height - height_needed_m
+
+    needed_m = limits.min_agl_m + terrain_m + k * checked_sigma_m(vehicle.sigma_v_m)
+
+    def around_m(points: Floats) -> Floats:
+        # What mends is the height above the ground everywhere under where the drone may be, not a bound of it: a place that
+        # sinks is not made good by a lower one that does not.
+        away_m = k * vehicle.sigma_h_m * _AROUND[:, 0] + limits.tracking_m * _AROUND[:, 1]
+        around = np.stack((away_m * _AROUND[:, 2], away_m * _AROUND[:, 3], np.zeros(len(_AROUND))), axis=1)
+        heights = terrain.agl_m((points[None] + around[:, None]).reshape(-1, 3)).reshape(len(around), -1)
+        below_m = limits.tracking_m * np.sqrt(1.0 - _AROUND[:, 1] ** 2)
+        return np.asarray((heights - below_m[:, None]).T - needed_m)
+
     return judge(
         name, requirements,
         np.maximum(by_clearance, by_height),
         np.maximum(between(by_clearance, gaps), between(by_height, gaps * stretch)),
         "height above ground", "{} too low above the ground",
         _terrain_unknown("height above ground", terrain_m + tilted_m, terrain), far=True,
+        mending=lambda: mends(path, around_m),
     )  # fmt: skip
 
 
@@ -119,27 +150,31 @@ def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Find
                 f"{{}} too close to {_plain(obstacles.names[i])}",
                 unknown,
                 far=True,
+                mending=partial(mends, path, partial(_apart_m, obstacles, i, required_m)),
+                of=f"{obstacles.names[i]} ({obstacles.numbers[i]})",
             )
             for i in which
         ]
     )
 
 
+def _apart_m(obstacles: Obstacles, i: int, required_m: float, points: Floats) -> Floats:
+    """(m,) distance of (m, 3) points to one obstacle, beyond what is required."""
+    return np.asarray(obstacles.distance_m(points)[:, i] - required_m)
+
+
 def workspace(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the anchor. Source: R7, paper III-D. Relative, so only drift since the anchor counts (design 2)."""
     radius_m = limits.workspace_m - _drift_m(situation, situation.anchor.at_s, limits)
-    margins = _within(path, situation.anchor.position, radius_m)
-    # A ball is convex: what holds at two points holds between them.
-    return judge("workspace", ("R7",), margins, None, "workspace", "{} outside the workspace about the anchor",
-                 f"workspace {NO_ACCURACY}")  # fmt: skip
+    return _ball("workspace", ("R7",), path, situation.anchor.position, radius_m, "workspace",
+                 "{} outside the workspace about the anchor")  # fmt: skip
 
 
 def session(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the place of pairing, which no sum of moves leaves. Source: X1, design 2."""
     radius_m = limits.session_m - _drift_m(situation, situation.paired_at_s, limits)
-    margins = _within(path, situation.session_centre, radius_m)
-    return judge("session", ("X1",), margins, None, "session area", "{} too far from where pairing happened",
-                 f"session area {NO_ACCURACY}")  # fmt: skip
+    return _ball("session", ("X1",), path, situation.session_centre, radius_m, "session area",
+                 "{} too far from where pairing happened")  # fmt: skip
 
 
 def geofence(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -148,16 +183,20 @@ def geofence(path: Path, situation: Situation, limits: Limits) -> Finding:
     fence = situation.world.geofence
     if fence is None:
         return Finding(name, requirements, None, "m", True, "no geofence is declared")
-    level = fence.level_m(path.points_ned_m) - error_m(situation.vehicle.sigma_h_m, limits)
-    upright = fence.upright_m(path.points_ned_m) - error_m(situation.vehicle.sigma_v_m, limits)
+    level_error_m = error_m(situation.vehicle.sigma_h_m, limits)
+    upright_error_m = error_m(situation.vehicle.sigma_v_m, limits)
+    level = fence.level_m(path.points_ned_m) - level_error_m
+    upright = fence.upright_m(path.points_ned_m) - upright_error_m
     unknown = f"geofence {NO_ACCURACY}"
     side = judge(name, requirements, level, between(level, _gaps(path)), "geofence",
-                 "{} too close to the geofence or beyond it", unknown, far=True)  # fmt: skip
+                 "{} too close to the geofence or beyond it", unknown, far=True, of="sides",
+                 mending=lambda: mends(path, lambda points: fence.level_m(points) - level_error_m))  # fmt: skip
     if fence.is_open_above_and_below:
         return side
     # Floor and ceiling are planes, so heights between two samples lie between theirs.
     return worst([side, judge(name, requirements, upright, None, "geofence floor and ceiling",
-                              "{} beyond the geofence's floor or ceiling", unknown)])  # fmt: skip
+                              "{} beyond the geofence's floor or ceiling", unknown, of="floor and ceiling",
+                              mending=lambda: mends(path, lambda points: fence.upright_m(points) - upright_error_m))])  # fmt: skip
 
 
 def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
@@ -167,8 +206,13 @@ def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
     required_m = limits.standoff_m + error_m(situation.vehicle.sigma_h_m, limits)
     required_m += limits.sigma_k * checked_sigma_m(operator.sigma_m)
     margins = np.array([math.hypot(n - north, e - east) - required_m for n, e, _ in _points(path)])
+
+    def along(points: Floats) -> Floats:
+        return np.asarray(np.hypot(points[:, 0] - north, points[:, 1] - east) - required_m)
+
     return judge("standoff", ("X2",), margins, between(margins, _gaps(path)), "distance to you", "{} too close to you",
-                 "distance to you cannot be judged: your position, the drone's or their accuracy is unknown")  # fmt: skip
+                 "distance to you cannot be judged: your position, the drone's or their accuracy is unknown",
+                 mending=lambda: mends(path, along))  # fmt: skip
 
 
 @once
@@ -205,9 +249,17 @@ def _points(path: Path) -> list[list[float]]:
     return path.points_ned_m.tolist()  # type: ignore[no-any-return]
 
 
-def _within(path: Path, place: Ned, radius_m: float) -> list[float]:
-    """How far inside the ball about a place each of the path's points is."""
-    return [radius_m - math.dist(point, place) for point in _points(path)]
+def _ball(
+    name: str, requirements: tuple[str, ...], path: Path, centre: Ned, radius_m: float, what: str, lack: str
+) -> Finding:
+    """Inside a ball about a place all along. A ball is convex: what holds at two points holds between them."""
+    margins = [radius_m - math.dist(point, centre) for point in _points(path)]
+
+    def along(points: Floats) -> Floats:
+        return np.asarray(radius_m - np.sqrt(((points - np.array(centre)) ** 2).sum(axis=1)))
+
+    return judge(name, requirements, margins, None, what, lack, f"{what} {NO_ACCURACY}",
+                 mending=lambda: mends(path, along))  # fmt: skip
 
 
 def _drift_m(situation: Situation, since_s: float, limits: Limits) -> float:

@@ -31,6 +31,7 @@ FULL_TURN_DEG = 360.0
 PASSING = frozenset({"separation", "reservation", "neighbour_age"})
 """Constraints that may clear by themselves: somebody flies on, a lease ends, a state gets fresh."""
 DELAY_STEP_S = 0.5
+BEFORE_LEASE_S = 0.05
 SLOWER = (2.0, 4.0)
 """What a replacement divides the speed by."""
 
@@ -54,12 +55,24 @@ def propose(intent: Intent, situation: Situation, limits: Limits) -> Plan:
     """pi_cand = Plan(intent, x). Raises ValueError where the operator's frame has no such direction."""
     vehicle, operator = situation.vehicle, situation.operator.position
     if intent.primitive is Primitive.RETURN:
-        return plan_return(vehicle.position, vehicle.yaw_deg, operator, situation.anchor.position, limits)
+        anchor = situation.anchor
+        return plan_return(vehicle.position, vehicle.yaw_deg, operator, anchor.position, limits, anchor.yaw_deg)
     if intent.primitive.is_scan:
         return plan_scan(intent.primitive, vehicle.position, vehicle.yaw_deg, operator, intent.amount, limits)
     return plan_translation(
         intent.primitive, vehicle.position, vehicle.yaw_deg, operator, intent.amount, limits, intent.slowness
     )
+
+
+def over_in_time(plan: Plan, situation: Situation, limits: Limits) -> Plan:
+    """The plan with a maximum duration that ends before the next lease of somebody else begins. Source: R5, X10.
+
+    Only a lease that begins when the plan should long be over shortens it; one that begins before stands in its way.
+    """
+    begins_s = max(plan.duration_s + limits.lag_s, limits.horizon_s)
+    starts_s = (volume.from_s - situation.now_s for volume in situation.reservations)
+    later_s = min((s for s in starts_s if begins_s < s <= plan.max_duration_s), default=math.inf)
+    return replace(plan, max_duration_s=later_s - BEFORE_LEASE_S) if later_s < math.inf else plan
 
 
 def assess(
@@ -111,6 +124,7 @@ def decide_plan(
 
     intent None: the plan is all or nothing.
     """
+    plan = over_in_time(plan, situation, limits)
     path = swept(plan, limits)
     scene = nearby(situation, path, limits)
     found = findings(path, scene, limits, plan, request, rules)
@@ -175,7 +189,7 @@ def shorten(
 
         def attempt(reach_m: float, searched: list[Rule] = searched, tried: dict[float, Attempt] = tried) -> Tried:
             length_m = max(length_reaching_m(reach_m, plan.move.speed, limits), limits.shortest_m)
-            shorter = propose(replace(intent, amount=length_m), situation, limits)
+            shorter = over_in_time(propose(replace(intent, amount=length_m), situation, limits), situation, limits)
             path = swept(shorter, limits)
             # A nose that turns farther for the shorter move may make it last longer: then others fly on for longer.
             scene = cut.scene if path.times_s[-1] <= until_s else nearby(situation, path, limits)
@@ -243,7 +257,7 @@ def slower(
     if intent.primitive.is_scan:
         return None
     for slowness in SLOWER:
-        plan = propose(replace(intent, slowness=slowness), situation, limits)
+        plan = over_in_time(propose(replace(intent, slowness=slowness), situation, limits), situation, limits)
         path = swept(plan, limits)
         # It lasts longer and reaches others, so what was left out for the faster one may matter.
         scene = nearby(situation, path, limits)

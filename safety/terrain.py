@@ -87,7 +87,7 @@ class Terrain:
         row, col = place
         known: NDArray[np.bool_] | None = None
         (low_row, low_col), (high_row, high_col) = np.minimum.reduce(place, axis=1), np.maximum.reduce(place, axis=1)
-        # A point that is no number is in no cell either.
+        # A point that is not finite is in no cell either.
         if not (low_row >= 0.0 and high_row <= rows - 1 and low_col >= 0.0 and high_col <= cols - 1):
             known = (row >= 0.0) & (row <= rows - 1) & (col >= 0.0) & (col <= cols - 1)
             row, col = np.where(known, place, 0.0)
@@ -265,9 +265,31 @@ class TerrainPatch:
         if self._unknown_ne_m.size:
             north = about[:, 0, None] - self._unknown_ne_m[0]
             east = about[:, 1, None] - self._unknown_ne_m[1]
-            nearest = np.sqrt((north * north + east * east).min(axis=1)) - self._unknown_radius_m
-            distance = np.minimum(distance, np.maximum(nearest, 0.0))
+            far = np.sqrt(north * north + east * east)
+            # Only those can be nearest whose outermost corner may be nearer than the middle of the nearest.
+            near = (far - self._unknown_radius_m <= far.min(axis=1, keepdims=True)).any(axis=0)
+            distance = np.minimum(distance, self._from_cells_m(north[:, near], east[:, near]).min(axis=1))
         return np.asarray(distance)
+
+    def _from_cells_m(self, north: Floats, east: Floats) -> Floats:
+        """(n, u) distance of points to cells, 0 inside; given from the middle of each cell."""
+        (n_row, n_col), (e_row, e_col) = self.terrain.steps_ne_m
+        cells = self.terrain._cells
+        row = cells[0, 0] * north + cells[0, 1] * east
+        col = cells[1, 0] * north + cells[1, 1] * east
+        inside = (np.abs(row) <= 0.5) & (np.abs(col) <= 0.5)
+        squares = np.full(north.shape, np.inf)
+        for side in (-0.5, 0.5):
+            for (edge_n, edge_e), (from_n, from_e) in (
+                ((n_row, e_row), (side * n_col, side * e_col)),
+                ((n_col, e_col), (side * n_row, side * e_row)),
+            ):
+                off_n, off_e = north - from_n, east - from_e
+                t = (off_n * edge_n + off_e * edge_e) / (edge_n * edge_n + edge_e * edge_e)
+                t = np.minimum(np.maximum(t, -0.5), 0.5)
+                off_n, off_e = off_n - t * edge_n, off_e - t * edge_e
+                squares = np.minimum(squares, off_n * off_n + off_e * off_e)
+        return np.where(inside, 0.0, np.sqrt(squares))
 
     def _vouched_m(self, about: Floats) -> Floats:
         """(n,) how far from points, (n, 3) about the centre, everything is here."""

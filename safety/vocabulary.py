@@ -26,7 +26,7 @@ class Ned(NamedTuple):
 
     @property
     def norm(self) -> float:
-        return math.sqrt(self.north**2 + self.east**2 + self.down**2)
+        return math.hypot(self.north, self.east, self.down)
 
     @property
     def horizontal(self) -> float:
@@ -144,12 +144,21 @@ class VehicleState:
     """1-sigma horizontal accuracy that the estimator states; NaN: unknown, which refuses moves (X6)."""
     sigma_v_m: float = math.nan
     healthy: bool = False
-    in_air: bool = False
+    in_air: bool | None = None
+    """None: it does not say."""
     flight_mode: str = "UNKNOWN"
     battery: float | None = None
-    """Remaining fraction, 0 to 1; None: the vehicle does not tell (its own health checks may still)."""
+    """Remaining fraction, 0 to 1; NaN: unknown; None: declared to be unknown (its own health checks may still tell)."""
     disagreement: Ned = Ned(0.0, 0.0, 0.0)
     """How far the position has lately moved otherwise than the velocity says (m)."""
+    armed: bool | None = None
+    """None: it does not say."""
+    mode_at_s: float = math.inf
+    """When it last told its flight mode; inf: now."""
+    unasked_hold: bool = False
+    """It is in Hold although this app flies it in Offboard and has not asked for it."""
+    restarts: int = 0
+    """How often its autopilot has started anew since it was first heard."""
 
     @property
     def sigma_m(self) -> float:
@@ -222,11 +231,13 @@ class Path:
 
     points_ned_m: (n, 3), n >= 1; times_s: (n,) since the plan's start, rising; stopping distance included.
     slack_m: how far along it the vehicle may be from where the time says (lag, coasting).
+    until_s: for how long after the plan's start airspace is reserved for it, should it be longer than its times.
     """
 
     points_ned_m: Floats
     times_s: Floats
     slack_m: float = 0.0
+    until_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +272,12 @@ class Profile:
         if t_s <= duration_s - ramp_s:
             return peak * (t_s - 0.5 * ramp_s)
         return self.distance - 0.5 * self.acceleration * (duration_s - t_s) ** 2
+
+    def speed_at(self, t_s: float) -> float:
+        """How fast after t_s; 0 before and after."""
+        if not 0.0 < t_s < self.duration_s:
+            return 0.0
+        return min(self.peak, self.acceleration * t_s, self.acceleration * (self.duration_s - t_s))
 
     def time_at(self, covered: float) -> float:
         """When `covered` has been covered: the inverse of `at`."""
@@ -337,6 +354,14 @@ class Plan:
             self.start.north + d.north * covered, self.start.east + d.east * covered, self.start.down + d.down * covered
         )
 
+    def led(self, t_s: float, lead_s: float) -> Ned:
+        """Where to point a vehicle that is lead_s behind its setpoint, so that it is where the plan says: on the line, ahead,
+        never beyond the goal, so that a setpoint that is sent no more is a hover within the path that was judged.
+        """
+        moved_s = t_s - self.move_from_s
+        covered = min(self.move.at(moved_s) + lead_s * self.move.speed_at(moved_s), self.move.distance)
+        return Ned(*(s + d * covered for s, d in zip(self.start, self.direction, strict=True)))
+
     def yaw_deg(self, t_s: float) -> float:
         """Yaw setpoint t_s after the start, unwrapped."""
         return self.start_yaw_deg + math.copysign(self.turn.at(t_s), self.turn_deg)
@@ -347,6 +372,8 @@ class Finding:
     """What one rule says of one plan: margin >= 0 passes; so does a broken limit that the plan only mends (design 8).
 
     margin: signed, in `unit`; None where it does not exist (no neighbours). text: for the operator, with the number.
+    below: the margins below zero, each with the name of its object where a rule holds for each of several (aircraft,
+    obstacles, volumes): what is broken already is compared object by object (X13).
     """
 
     constraint: str
@@ -355,6 +382,7 @@ class Finding:
     unit: str
     passed: bool
     text: str
+    below: tuple[tuple[str, float], ...] = ()
 
 
 class Verdict(StrEnum):

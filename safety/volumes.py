@@ -7,6 +7,8 @@ import math
 from safety.limits import Limits
 from safety.vocabulary import Ned, Plan, ReservedVolume
 
+ROUNDING_M = 1e-6
+
 
 def swept_volume(plan: Plan, holder: str, sigma_m: float, now_s: float, limits: Limits) -> ReservedVolume:
     """The capsule to reserve for a plan: everywhere the drone may be while it flies it, and half the separation about it."""
@@ -17,10 +19,10 @@ def swept_volume(plan: Plan, holder: str, sigma_m: float, now_s: float, limits: 
 
 
 def volumes_meet(a: ReservedVolume, b: ReservedVolume) -> bool:
-    """Whether two capsules overlap in space and time. What is no number meets everything (X6)."""
+    """Whether two capsules overlap in space and time; touching is no overlap. What is not finite meets everything (X6)."""
     if a.until_s < b.from_s or b.until_s < a.from_s:
         return False
-    return not segment_distance_m(a.start, a.end, b.start, b.end) > a.radius_m + b.radius_m
+    return not segment_distance_m(a.start, a.end, b.start, b.end) >= a.radius_m + b.radius_m - ROUNDING_M
 
 
 def segment_distance_m(p1: Ned, q1: Ned, p2: Ned, q2: Ned) -> float:

@@ -115,7 +115,7 @@ class App:
     async def fly(self) -> None:
         while True:
             for drone, place in self.places.items():
-                self.shared.teller.tell(drone, FRAME.geodetic(place), Ned(0.0, 0.0, 0.0), 0.3, 0.01)
+                self.shared.publisher.tell(drone, FRAME.geodetic(place), Ned(0.0, 0.0, 0.0), 0.3, 0.01)
             await asyncio.sleep(0.02)
 
     def neighbours(self, own: str) -> Neighbours:
@@ -128,11 +128,16 @@ class App:
         return who in self.neighbours(own).names
 
     async def claim(self, drone: str) -> str | None:
-        return await self.shared.claim(drone, HERE)
+        """Why not, or None. An authority that a busy machine keeps from answering in time is asked again, as it says."""
+        until_s = time.monotonic() + PATIENCE_S
+        while True:
+            reason = await self.shared.claim(drone, HERE)
+            if reason is None or "did not answer" not in reason or time.monotonic() > until_s:
+                return reason
 
     @property
     def link(self):
-        return self.shared._exchange.link
+        return self.shared._channel.link
 
 
 @asynccontextmanager

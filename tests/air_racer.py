@@ -23,7 +23,7 @@ async def race(url: str, credentials: Path, own: str) -> None:
     shared = SharedAirspace(
         parse_broker(url), load_credentials(credentials, "operator"), LocalFrame(HERE), lambda _: None
     )
-    shared.teller.tell(own, HERE, Ned(0, 0, 0), 0.3, 0.0)
+    shared.publisher.tell(own, HERE, Ned(0, 0, 0), 0.3, 0.0)
     await shared.open()
     telling = asyncio.create_task(tell(shared, own))
     assert await shared.claim(own, HERE) is None
@@ -48,7 +48,7 @@ async def race(url: str, credentials: Path, own: str) -> None:
 
 async def tell(shared: SharedAirspace, own: str) -> None:
     while True:
-        shared.teller.tell(own, HERE, Ned(0, 0, 0), 0.3, 0.0)
+        shared.publisher.tell(own, HERE, Ned(0, 0, 0), 0.3, 0.0)
         await asyncio.sleep(0.05)
 
 

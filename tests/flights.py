@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from m3r_app.arbiter.step import step
-from m3r_app.events import (
+from m3r_app.arbiter.events import (
     Announce,
     ArbiterState,
     Event,
@@ -38,6 +37,7 @@ from m3r_app.events import (
     TelemetryArrived,
     Tick,
 )
+from m3r_app.arbiter.step import step
 from m3r_app.sim.dynamics import Multirotor, PositionError, Setpoint, Wind
 from m3r_app.vehicle.motion_controller import MotionController
 from safety.constraints import RULES, Rule
@@ -129,9 +129,13 @@ class _Autopilot:
     async def enter_offboard(self) -> None:
         self.set_position_ned(*self.here())
 
-    async def hold(self) -> None: ...
+    async def end_setpoints(self) -> None: ...
+
+    async def leave_in_hold(self) -> None: ...
 
     async def resume_mission(self) -> None: ...
+
+    async def begin_landing(self) -> None: ...
 
     def step(self, wind: Ned) -> None:
         error = self.error.step(DT_S)

@@ -24,7 +24,10 @@ from safety.terrain import Terrain
 from safety.vocabulary import Command, Ned, ReservedVolume
 from tests.flights import DT_S, ORIGIN_AMSL_M, Aircraft, Flight, Outcome, without
 
-pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
+pytestmark = [
+    pytest.mark.xdist_group("busy"),
+    pytest.mark.requirement("R3", "R4", "R5", "R6", "R7", "R8", "R9", "R10", "R11", "X1", "X2", "X11"),
+]  # it keeps a core busy: one of them at a time
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 FLIGHTS = 2000 if SOAK else 10
@@ -82,6 +85,7 @@ def _true_margin_m(flight: Flight, here: Ned) -> float:
     return min((a.at(flight.now_s).minus(here).norm - flight.limits.separation_m for a in live), default=1.0)
 
 
+@pytest.mark.requirement("R3", "R4", "R5", "R6", "R7", "R8", "R9", "X1", "X2", "X11")
 def test_no_hard_constraint_is_violated() -> None:
     """R3-R9, X1, X2, X11: judged on the true state, inside the declared bounds."""
     outcomes = flown(fly, range(FLIGHTS))
@@ -94,6 +98,7 @@ def test_no_hard_constraint_is_violated() -> None:
     assert verdicts["rejected"] >= FLIGHTS / 8
 
 
+@pytest.mark.requirement("R10")
 def test_outside_the_declared_bounds_it_aborts_within_a_tick() -> None:
     """R10: violated or not, nothing goes on being flown into a violation; the rate is reported, whatever it is."""
     outcomes = flown(fly_beyond, range(200 if SOAK else 4))
@@ -219,6 +224,7 @@ def test_each_constraint_is_what_prevents_its_violation(
     assert violated(name, setting, commands, limits, off=True)
 
 
+@pytest.mark.requirement("R8", "G6")
 def test_the_envelope_rule_stops_a_planner_that_plans_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     """R8, G6: the supervisor does not trust the planner."""
     honest = safety.supervisor.plan_translation

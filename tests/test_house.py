@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 import safety
 from safety.requirements import REQUIREMENTS
+from tests.trace import marks, trace
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = ("ui", "m3r_app", "modalities", "config", "safety")
@@ -20,6 +22,12 @@ FORBIDDEN = {
     "a package registry": r"pyp[i]\.org|pythonhoste[d]|npmj[s]|deb\.debia[n]",
 }
 LARGEST_BYTES = 1 << 20
+PURE = {"__future__", "collections", "dataclasses", "enum", "functools", "itertools", "math", "numpy", "typing"}
+MAY_IMPORT = {
+    "safety": {*PURE, "pymap3d", "shapely", "safety"},
+    "m3r_app/arbiter": {*PURE, "safety", "m3r_app.arbiter", "m3r_app.plain"},
+}
+"""What has no clock, no files, no network and no threads: what it may import, not what it may not."""
 
 
 def tracked() -> list[Path]:
@@ -42,7 +50,7 @@ def cited(paths: list[Path]) -> set[str]:
 
 
 CODE = cited([path for path in sources(*FLOORS) if path != TABLE])
-TESTS = cited([path for path in sources("tests") if path != Path(__file__).resolve()])
+TRACE = trace()
 
 
 def test_safety_is_ours() -> None:
@@ -50,14 +58,51 @@ def test_safety_is_ours() -> None:
     assert Path(safety.__file__).resolve().parent == ROOT / "safety"
 
 
+def imported(path: Path) -> set[str]:
+    """What a file imports: of ours the package in its floor, of others the first name."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Import():
+                found |= {alias.name for alias in node.names}
+            case ast.ImportFrom(module=str(module), level=0):
+                # `from m3r_app import plain` imports m3r_app.plain.
+                found |= {f"{module}.{alias.name}" for alias in node.names} if module == "m3r_app" else {module}
+            case ast.ImportFrom():
+                raise AssertionError(f"{path}: a relative import")
+    return {".".join(name.split(".")[: 2 if name.startswith("m3r_app.") else 1]) for name in found}
+
+
+@pytest.mark.parametrize("folder", list(MAY_IMPORT))
+def test_what_is_pure_imports_only_what_is(folder: str) -> None:
+    for path in sources(folder):
+        assert imported(path) <= MAY_IMPORT[folder], path
+
+
+def test_an_import_is_found_wherever_it_stands(tmp_path: Path) -> None:
+    one = tmp_path / "one.py"
+    one.write_text("import os.path\nfrom m3r_app import runtime\ndef f():\n    from time import monotonic\n")
+    assert imported(one) == {"os", "m3r_app.runtime", "time"}
+
+
 @pytest.mark.parametrize("requirement", list(REQUIREMENTS))
-def test_every_requirement_is_cited_by_code_and_by_a_test(requirement: str) -> None:
+def test_every_requirement_is_cited_by_code_and_held_by_a_test_that_names_it(requirement: str) -> None:
     assert requirement in CODE
-    assert requirement in TESTS
+    assert TRACE[requirement], "no test is marked with it"
 
 
 def test_only_requirements_that_exist_are_cited() -> None:
-    assert set(REQUIREMENTS) >= CODE | TESTS
+    assert set(REQUIREMENTS) >= CODE
+
+
+def test_only_marks_count(tmp_path: Path) -> None:
+    """A docstring that names R1 holds nothing."""
+    one = tmp_path / "test_one.py"
+    one.write_text(
+        'import pytest\n"""R2"""\npytestmark = [pytest.mark.slow, pytest.mark.requirement("R3")]\n'
+        '@pytest.mark.requirement("R4", "R5")\ndef test_it():\n    """R1"""\n'
+    )
+    assert list(marks(one)) == [("R3", ""), ("R4", "test_it"), ("R5", "test_it")]
 
 
 def test_the_tracked_files_are_seen() -> None:

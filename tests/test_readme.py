@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from m3r_app.modes import mermaid
+from m3r_app.arbiter.modes import mermaid
 from safety.constraints import RULES
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")

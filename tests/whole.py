@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from m3r_app.vehicle.fleet import free_udp_block
+from m3r_app.ports import free_udp_block
+from tests.warm import Program
 
 ROOT = Path(__file__).resolve().parent.parent
 PLAIN = ROOT / "config/scenarios/plain.toml"
@@ -43,14 +42,8 @@ class App:
     def __init__(self, arguments: Sequence[str], stdin: str | None = None, terminal: int | None = None) -> None:
         """stdin: what is written to it; terminal: a file descriptor to be it instead."""
         nothing = subprocess.DEVNULL if terminal is None else terminal
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "ui.entry", *arguments],
-            cwd=ROOT,
-            stdin=subprocess.PIPE if stdin is not None else nothing,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            bufsize=0,  # what is read is all here: nothing is left in a buffer that `communicate` does not know
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        self.process = Program(
+            "ui.entry", arguments, subprocess.PIPE if stdin is not None else nothing, subprocess.PIPE
         )
         self._unread = b""
         self.events: list[dict[str, Any]] = []
@@ -71,7 +64,6 @@ class App:
 
     def _line(self) -> str | None:
         """The next line of its output; None at the end."""
-        assert self.process.stdout is not None
         while b"\n" not in self._unread:
             more = self.process.stdout.read(65536)
             if not more:
@@ -105,7 +97,7 @@ def m3r(*arguments: str, stdin: str | None = None) -> Ran:
 class Simulated:
     """A running `m3r sim`."""
 
-    process: subprocess.Popen[str]
+    process: Program
     urls: dict[str, str]
     also: dict[str, str]
     truth: Path
@@ -141,11 +133,9 @@ class Simulated:
 def simulated(scenario: Path, tmp_path: Path, *words: str) -> Iterator[Simulated]:
     """The simulated fleet as a process of its own, its truth written down."""
     truth = tmp_path / "truth.jsonl"
-    command = [sys.executable, "-m", "m3r_app.sim", "--scenario", str(scenario), "--truth", str(truth)]
-    command += ["--port-base", str(free_udp_block(6)), *words]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    words = ("--scenario", str(scenario), "--truth", str(truth), "--port-base", str(free_udp_block(6)), *words)
+    process = Program("m3r_app.sim.__main__", words)
     try:
-        assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
         urls = {**ready["vehicles"], **ready["traffic"]}
         yield Simulated(process, urls, ready["also"], truth)

@@ -16,11 +16,12 @@ from m3r_app.airspace.beacon import Beacon
 from m3r_app.airspace.credentials import load_credentials, parse_broker
 from m3r_app.airspace.service import AirspaceService
 from m3r_app.airspace.store import Store
+from m3r_app.exit_status import ExitStatus
 from m3r_app.ports import check_link
-from m3r_app.vehicle.fleet import Fleet, Links
+from m3r_app.vehicle.fleet import Fleet
+from m3r_app.vehicle.interface import Links
 
 Say = Callable[[str], None]
-ENDED, INTERRUPTED = 0, 130
 HEARD_S = 10.0
 
 
@@ -50,7 +51,7 @@ def be_beacon(vehicles: Mapping[str, str], broker_url: str, credentials: Path, s
         fleet = await Fleet.connect(Links(dict(vehicles), {}, complete=False), time.monotonic, HEARD_S)
         try:
             for name, vehicle in fleet.vehicles.items():
-                vehicle.on_telemetry(partial(beacon.teller.telemetry, name))
+                vehicle.on_telemetry(partial(beacon.publisher.telemetry, name))
             names = ", ".join(vehicles)
             await beacon.run(lambda: say(f"telling where {names} is at {broker}"))
         finally:
@@ -61,7 +62,8 @@ def be_beacon(vehicles: Mapping[str, str], broker_url: str, credentials: Path, s
 
 async def _until_ended(work: Awaitable[None]) -> int:
     """130 by Ctrl-C, 0 by SIGTERM; whatever `work` raises."""
-    loop, status = asyncio.get_running_loop(), ENDED
+    loop = asyncio.get_running_loop()
+    status: int = ExitStatus.ENDED
     task = asyncio.ensure_future(work)
 
     def end(code: int) -> None:
@@ -69,8 +71,8 @@ async def _until_ended(work: Awaitable[None]) -> int:
         status = code
         task.cancel()
 
-    loop.add_signal_handler(signal.SIGINT, end, INTERRUPTED)
-    loop.add_signal_handler(signal.SIGTERM, end, ENDED)
+    loop.add_signal_handler(signal.SIGINT, end, ExitStatus.INTERRUPTED)
+    loop.add_signal_handler(signal.SIGTERM, end, ExitStatus.ENDED)
     with contextlib.suppress(asyncio.CancelledError):
         await task
     return status

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from m3r_app.exit_status import ExitStatus
 from m3r_app.options import (
     OptionError,
     parse_audio,
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
     Run = Callable[[argparse.Namespace], int]
 
-BAD_INPUT = 2
-
 
 class Parser(argparse.ArgumentParser):
     """Errors in one sentence with a did-you-mean; no abbreviated options."""
@@ -40,7 +39,7 @@ class Parser(argparse.ArgumentParser):
         if choice:
             known = re.findall(r"[\w-]+", choice[2])
             message = f"there is no {self.prog} {choice[1]}{_guess(choice[1], known)}"
-        self.exit(BAD_INPUT, f"m3r: {' '.join(message.split())}\n")
+        self.exit(ExitStatus.BAD_INPUT, f"m3r: {' '.join(message.split())}\n")
 
 
 def _guess(word: str, known: Sequence[str]) -> str:

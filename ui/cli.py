@@ -15,13 +15,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from m3r_app.exit_status import ExitStatus
 from m3r_app.options import LiveMicrophone, OptionError, RunOptions, parse_vehicles
-from ui.arguments import BAD_INPUT, parse
+from m3r_app.vehicle.interface import VehicleError
+from ui.arguments import parse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-FAULT, NO_VEHICLE, INTERRUPTED = 1, 3, 130
 OUR_PACKAGES = ("safety", "config", "modalities", "m3r_app", "ui")
 
 
@@ -35,10 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status: int = options.run(options)
         sys.stdout.flush()
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitStatus.INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read our output has seen enough
-        return 0
+        return ExitStatus.ENDED
     except Exception as error:
         if debug:
             raise
@@ -56,8 +57,8 @@ def _told(error: Exception) -> str:
 
 def _status(error: Exception) -> int:
     if not _is_ours(error):
-        return FAULT
-    return NO_VEHICLE if type(error).__name__ == "VehicleError" else BAD_INPUT
+        return ExitStatus.FAULT
+    return ExitStatus.NO_VEHICLE if isinstance(error, VehicleError) else ExitStatus.BAD_INPUT
 
 
 def _is_ours(error: Exception) -> bool:
@@ -124,16 +125,16 @@ def _run_run(options: argparse.Namespace) -> int:
     import asyncio
 
     from m3r_app.run import run
-    from modalities.voice.self_speech import OwnVoice
+    from modalities.voice.self_speech import SelfSpeech
     from ui.output import Output
     from ui.speaker import speaking
 
-    own_voice = OwnVoice()
+    self_speech = SelfSpeech()
     with (
         Output(headless=asked.headless, plain=asked.plain) as output,
-        speaking(asked, own_voice, _say, output.emit) as emit,
+        speaking(asked, self_speech, _say, output.emit) as emit,
     ):
-        return asyncio.run(run(asked, emit, own_voice))
+        return asyncio.run(run(asked, emit, self_speech))
 
 
 def _asked(options: argparse.Namespace) -> RunOptions:
@@ -205,7 +206,7 @@ def _run_models(options: argparse.Namespace) -> int:
     missing = (fetch if options.action == "fetch" else show_models)(options.kind)
     for error in missing:
         _say(str(error))
-    return BAD_INPUT if missing else 0
+    return ExitStatus.BAD_INPUT if missing else ExitStatus.ENDED
 
 
 def _run_evaluate(options: argparse.Namespace) -> int:
@@ -213,7 +214,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from ui.models import evaluate
 
     evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture)
-    return 0
+    return ExitStatus.ENDED
 
 
 def _run_report(options: argparse.Namespace) -> int:
@@ -223,14 +224,14 @@ def _run_report(options: argparse.Namespace) -> int:
     if broken is not None:
         _say(broken)
     print(page)
-    return 0
+    return ExitStatus.ENDED
 
 
 def _run_modes(_options: argparse.Namespace) -> int:
-    from m3r_app.modes import mermaid
+    from m3r_app.arbiter.modes import mermaid
 
     print(mermaid())
-    return 0
+    return ExitStatus.ENDED
 
 
 RUNS: dict[str, Callable[[argparse.Namespace], int]] = {

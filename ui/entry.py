@@ -7,7 +7,8 @@ import os
 import signal
 import sys
 
-INTERRUPTED = 130
+from m3r_app.exit_status import ExitStatus
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
@@ -33,7 +34,7 @@ def main() -> int:
 
 def _leave(_signal: int, _frame: object) -> None:
     """Nothing flies yet: whatever flies takes the signals over."""
-    os._exit(INTERRUPTED)
+    os._exit(ExitStatus.INTERRUPTED)
 
 
 if __name__ == "__main__":

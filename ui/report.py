@@ -20,13 +20,13 @@ from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from m3r_app.record.flight_summary import Asked, Story, number, place_of, story_of
-from m3r_app.recorder import RecordError, read_header, read_record
+from m3r_app.record.recorder import RecordError, read_header, read_record
 from ui.narrator import every_sentence, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from m3r_app.recorder import RecordHeader
+    from m3r_app.record.recorder import RecordHeader
 
 MARK = "<!-- m3r flight report -->"
 """A page with this in its first line is ours, and may be replaced."""

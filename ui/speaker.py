@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from m3r_app.options import RunOptions
-    from modalities.voice.self_speech import OwnVoice
+    from modalities.voice.self_speech import SelfSpeech
 
 PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")
@@ -40,18 +40,18 @@ class Speaker:
     def __init__(
         self,
         cue_of: Callable[[Mapping[str, Any]], Cue | None],
-        own_voice: OwnVoice,
+        self_speech: SelfSpeech,
         say: Callable[[str], None],
         *,
         clock: Callable[[], float] = time.monotonic,
         ring: Callable[[], None] | None = None,
     ) -> None:
-        """own_voice: told when something is spoken. say: told once, in a sentence, what keeps cues from being spoken.
+        """self_speech: told when something is spoken. say: told once, in a sentence, what keeps cues from being spoken.
 
         ring: instead of the terminal's bell. All but `hear` happens in the speaker's own thread.
         """
         self._cue_of = cue_of
-        self._own_voice = own_voice
+        self._self_speech = self_speech
         self._say = say
         self._clock = clock
         self._ring = ring or bell
@@ -129,7 +129,7 @@ class Speaker:
             self._fail(cue, "")
             return
         since_s = self._clock()
-        self._own_voice.begins(since_s)
+        self._self_speech.begins(since_s)
         try:
             process = subprocess.Popen(
                 [self._program, *WORDS],
@@ -139,7 +139,7 @@ class Speaker:
                 start_new_session=True,  # Ctrl-C is ours to answer
             )
         except OSError as error:
-            self._own_voice.ends(self._clock())
+            self._self_speech.ends(self._clock())
             self._fail(cue, f"{PROGRAM} cannot be started ({error.strerror}): install it anew")
             return
         self._speaking = (cue, process, since_s)
@@ -161,7 +161,7 @@ class Speaker:
             process.wait(CLOSE_S)
         except (OSError, subprocess.TimeoutExpired):
             pass  # a process that cannot be killed is the system's
-        self._own_voice.ends(self._clock())
+        self._self_speech.ends(self._clock())
 
     def _fail(self, cue: Cue, why: str) -> None:
         """It could not be spoken."""
@@ -180,13 +180,13 @@ class Speaker:
 
 @contextmanager
 def speaking(
-    options: RunOptions, own_voice: OwnVoice, say: Callable[[str], None], emit: Callable[[dict[str, Any]], None]
+    options: RunOptions, self_speech: SelfSpeech, say: Callable[[str], None], emit: Callable[[dict[str, Any]], None]
 ) -> Iterator[Callable[[dict[str, Any]], None]]:
     """An `emit` that also speaks, where these options want cues. say: told once what keeps them from being spoken."""
     if not options.aloud:
         yield emit
         return
-    with Speaker(Cues(dry_run=options.dry_run).of, own_voice, say) as speaker:
+    with Speaker(Cues(dry_run=options.dry_run).of, self_speech, say) as speaker:
 
         def both(event: dict[str, Any]) -> None:
             emit(event)

@@ -178,6 +178,6 @@ def _expired(a: Authority, now_s: float) -> Authority:
 
 
 def _is_whole(volume: ReservedVolume) -> bool:
-    """Whether it says where and when (X6): what is no number could neither be kept clear nor expire."""
+    """Whether it says where and when (X6): what is not finite could neither be kept clear nor expire."""
     numbers = (volume.radius_m, volume.from_s, volume.until_s)
     return volume.start.finite and volume.end.finite and all(map(math.isfinite, numbers))

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 
 from m3r_app.airspace.credentials import AirError, Broker, Credentials
 from m3r_app.airspace.messages import State
-from m3r_app.airspace.signed_channel import Exchange, Received
-from m3r_app.airspace.state_publisher import Teller
+from m3r_app.airspace.signed_channel import Received, SignedChannel
+from m3r_app.airspace.state_publisher import StatePublisher
 from m3r_app.airspace.topics import ROOT, StateTopic
 
 QUIET_S = 2.0
@@ -31,28 +31,28 @@ class Beacon:
         self._clock = clock
         self._say = say
         self._back_at_s: dict[str, float] = {}
-        self._exchange = Exchange(broker, credentials, self._take, say, clock, wall_clock)
-        self.teller = Teller(self._exchange, clock)
+        self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock)
+        self.publisher = StatePublisher(self._channel, clock)
 
     def check(self, drones: Mapping[str, object]) -> None:
         """Raises AirError for a drone that these credentials may not tell of."""
         for drone in drones:
-            if drone not in self._flies or not self._exchange.may_sign(f"drone.{drone}"):
+            if drone not in self._flies or not self._channel.may_sign(f"drone.{drone}"):
                 raise AirError(f"the credentials of {self._user} may not tell of {drone}: use ones made for it")
 
     async def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Tell until cancelled. ready: called when the first state of every drone has come back. Raises AirError."""
-        link = asyncio.create_task(self._exchange.link.run())
+        link = asyncio.create_task(self._channel.link.run())
         try:
-            await self._exchange.link.open()
+            await self._channel.link.open()
             said: set[str] = set()
             started = False
             while not link.done():
-                self._exchange.listen(f"{ROOT}/state/{cell}/+" for cell in self.teller.near)
+                self._channel.listen(f"{ROOT}/state/{cell}/+" for cell in self.publisher.near)
                 await asyncio.sleep(0.1)
                 now_s = self._clock()
-                if not self.teller.tells:
-                    self._exchange.link.echoed()  # nothing was sent that could come back
+                if not self.publisher.tells:
+                    self._channel.link.echoed()  # nothing was sent that could come back
                 for drone in self._flies:
                     told = self._back_at_s.get(drone)
                     if told is not None and now_s - told > QUIET_S and drone not in said:

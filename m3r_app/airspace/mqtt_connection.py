@@ -55,7 +55,7 @@ class _Outgoing:
     properties: Properties | None
 
 
-class Link:
+class MqttConnection:
     """Keeps one connection, from `run` until that is cancelled. From one event loop only."""
 
     def __init__(

@@ -27,7 +27,7 @@ from m3r_app.airspace.messages import (
     HeldVolume,
     Reserve,
 )
-from m3r_app.airspace.signed_channel import Exchange, Received
+from m3r_app.airspace.signed_channel import Received, SignedChannel
 from m3r_app.airspace.store import Store
 from m3r_app.airspace.topics import ROOT, AnswerTopic, AskTopic, HeldTopic
 from safety.frames import LocalFrame
@@ -59,7 +59,7 @@ class AirspaceService:
         self._say = say
         self._clock = clock
         self._epoch = secrets.token_hex(8)
-        self._exchange = Exchange(broker, credentials, self._take, say, clock, wall_clock)
+        self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock)
         self._authority = Authority()
         self._began_at_s = math.inf
         """When it was first connected."""
@@ -69,11 +69,11 @@ class AirspaceService:
     async def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve. ready: called once it grants. Raises AirError when it cannot, or must not, go on."""
         self._store.load(EARTH, self._clock())  # what is wrong with it is told before anything else
-        self._exchange.listen((f"{ROOT}/ask/{self._area}/+/+", str(HeldTopic(self._area))))
-        link = asyncio.create_task(self._exchange.link.run())
+        self._channel.listen((f"{ROOT}/ask/{self._area}/+/+", str(HeldTopic(self._area))))
+        link = asyncio.create_task(self._channel.link.run())
         beat = asyncio.create_task(self._heartbeat(ready))
         try:
-            await self._exchange.link.open()
+            await self._channel.link.open()
             self._began_at_s = self._heard_at_s = self._clock()
             self._authority = self._store.load(EARTH, self._began_at_s)
             await asyncio.wait({beat, link, self._failed}, return_when=asyncio.FIRST_COMPLETED)
@@ -94,10 +94,10 @@ class AirspaceService:
         said = False
         while True:
             if self._listening:
-                self._exchange.link.echoed()  # nothing was sent that could come back
-            elif self._exchange.link.up:
+                self._channel.link.echoed()  # nothing was sent that could come back
+            elif self._channel.link.up:
                 self._tell()
-            if not said and self._exchange.link.up and not self._listening:
+            if not said and self._channel.link.up and not self._listening:
                 said = True
                 ready()
             await asyncio.sleep(0.1 if self._listening else HEARTBEAT_S)
@@ -125,7 +125,7 @@ class AirspaceService:
                 for k, v in a.volumes.items()
             ],
         )
-        self._exchange.send(HeldTopic(self._area), held, self._user)
+        self._channel.send(HeldTopic(self._area), held, self._user)
 
     def _take(self, received: Received) -> None:
         match received.topic, received.body:
@@ -163,7 +163,7 @@ class AirspaceService:
             lasts_s=max(0.0, verdict.lasts_s),
             reason=verdict.reason,
         )
-        self._exchange.send(inbox, answer, self._user, qos=1, correlation=bytes.fromhex(body.id))
+        self._channel.send(inbox, answer, self._user, qos=1, correlation=bytes.fromhex(body.id))
         if not self._listening and (before.volumes != after.volumes or before.claims.keys() != after.claims.keys()):
             self._tell()
         if verdict.granted and isinstance(body.ask, Claim) and body.ask.fence is None:

@@ -20,11 +20,10 @@ from m3r_app.airspace.authority import CLAIM_S
 from m3r_app.airspace.credentials import Broker, Credentials
 from m3r_app.airspace.local import Answered
 from m3r_app.airspace.messages import Answer, AskBody, Capsule, Claim, Free, GiveUp, Held, Place, Reserve, State
-from m3r_app.airspace.signed_channel import Exchange, Received
-from m3r_app.airspace.state_publisher import Teller
+from m3r_app.airspace.signed_channel import Received, SignedChannel
+from m3r_app.airspace.state_publisher import Reported, StatePublisher
 from m3r_app.airspace.topics import ROOT, AnswerTopic, AskTopic, HeldTopic, StateTopic
-from m3r_app.airspace.traffic import Sky
-from m3r_app.vehicle.telemetry import Telemetry
+from m3r_app.airspace.traffic import RemoteTraffic
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Neighbours, ReservedVolume
 
@@ -68,9 +67,9 @@ class SharedAirspace:
         self._frame = frame
         self._say = say
         self._clock = clock
-        self._sky = Sky(say)
-        self._exchange = Exchange(broker, credentials, self._take, say, clock, wall_clock, self._doubt)
-        self.teller = Teller(self._exchange, clock)
+        self._remote = RemoteTraffic(say)
+        self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock, self._doubt)
+        self.publisher = StatePublisher(self._channel, clock)
         self._inbox = AnswerTopic(credentials.name, secrets.token_hex(8))
         self._pending: dict[str, _Pending] = {}
         self._claims: dict[str, _Claimed] = {}
@@ -84,7 +83,7 @@ class SharedAirspace:
         self._wanted: frozenset[tuple[str, str]] = frozenset()
         self._authority_heard = True
         self._opened_at_s = clock()
-        self._linked: Mapping[str, Callable[[], Telemetry]] = {}
+        self._linked: Mapping[str, Callable[[], Reported]] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._told_dropped: set[str] = set()
 
@@ -93,8 +92,8 @@ class SharedAirspace:
     async def open(self) -> None:
         """Connect. Raises AirError with one sentence if that cannot be."""
         self._listen()
-        self._tasks.append(asyncio.create_task(self._exchange.link.run()))
-        await self._exchange.link.open()
+        self._tasks.append(asyncio.create_task(self._channel.link.run()))
+        await self._channel.link.open()
         self._opened_at_s = self._clock()
         self._tasks.append(asyncio.create_task(self._keep()))
 
@@ -111,26 +110,26 @@ class SharedAirspace:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self._tasks.clear()
 
-    def watch(self, linked: Mapping[str, Callable[[], Telemetry]]) -> None:
+    def watch(self, linked: Mapping[str, Callable[[], Reported]]) -> None:
         """The drones that we see by ourselves: they are no neighbours from hearsay."""
         self._linked = linked
 
     @property
     def trouble(self) -> str | None:
         """What is missing, in two words; None: nothing."""
-        if not self._exchange.link.up:
+        if not self._channel.link.up:
             return "no broker"
         return "no authority" if self._authority_silent(self._clock()) is not None else None
 
     @property
     def dropped(self) -> Mapping[str, int]:
         """Messages that were dropped, by reason."""
-        return self._exchange.dropped
+        return self._channel.dropped
 
     def _tell_dropped(self) -> None:
         """Somebody who tries to get in is said once for each way of trying; the counts go on."""
         for reason in ATTACKS:
-            if self._exchange.dropped[reason] and reason not in self._told_dropped:
+            if self._channel.dropped[reason] and reason not in self._told_dropped:
                 self._told_dropped.add(reason)
                 self._say(f"a message in the shared air was dropped ({reason}): somebody may be trying to get in")
 
@@ -142,19 +141,19 @@ class SharedAirspace:
             self._pending = {k: p for k, p in self._pending.items() if p.late_at_s > now_s}
             self._listen()
             self._tell_dropped()
-            if not self.teller.tells:
-                self._exchange.link.echoed()  # nothing was sent that could come back
+            if not self.publisher.tells:
+                self._channel.link.echoed()  # nothing was sent that could come back
             for drone, claimed in self._claims.items():
                 if claimed.refused is None:
                     self._renew(drone, claimed)
-            silent = self._authority_silent(now_s) if self._exchange.link.up else None
+            silent = self._authority_silent(now_s) if self._channel.link.up else None
             if (silent is None) != self._authority_heard and now_s - self._opened_at_s > AUTHORITY_AGE_S:
                 self._authority_heard = silent is None
                 self._say(silent or f"the airspace authority of {self._credentials.area} is heard again")
 
     def _listen(self) -> None:
-        states = (f"{ROOT}/state/{cell}/+" for cell in self.teller.near)
-        self._exchange.listen((str(self._inbox), str(HeldTopic(self._credentials.area)), *states))
+        states = (f"{ROOT}/state/{cell}/+" for cell in self.publisher.near)
+        self._channel.listen((str(self._inbox), str(HeldTopic(self._credentials.area)), *states))
 
     # ------------------------------------------------------------ claims
 
@@ -277,8 +276,9 @@ class SharedAirspace:
         What is heard is as fresh as what last came back of our own drone's state; where others are linked too, the older counts.
         """
         feed_at_s = self._back_at_s.get(own, -math.inf)
-        seen = {drone: _seen(telemetry(), now_s) for drone, telemetry in self._linked.items()}
-        heard = self._sky.neighbours(self._frame, self.teller.near, seen, feed_at_s, now_s)
+        reports = {drone: telemetry() for drone, telemetry in self._linked.items()}
+        seen = {drone: (report.geodetic, now_s - report.at_s) for drone, report in reports.items()}
+        heard = self._remote.neighbours(self._frame, self.publisher.near, seen, feed_at_s, now_s)
         nobody_linked = self._linked.keys() <= {own} and linked.feed_at_s == -math.inf
         return Neighbours(
             linked.names + heard.names,
@@ -302,7 +302,7 @@ class SharedAirspace:
                 self._back_at_s[topic.drone] = received.at_s + min(0.0, received.envelope.early_s) - state.age_s
             case StateTopic() as topic, State() as state:
                 envelope = received.envelope
-                self._sky.heard(topic.drone, envelope.life, state, envelope.early_s, received.at_s)
+                self._remote.heard(topic.drone, envelope.life, state, envelope.early_s, received.at_s)
                 self._heard.set()
             case AnswerTopic() as topic, Answer() as answer if topic == self._inbox:
                 self._answered(answer, received.correlation)
@@ -313,7 +313,7 @@ class SharedAirspace:
 
     def _doubt(self, drone: str, why: str) -> None:
         if drone not in self._linked:
-            self._sky.doubt(drone, why, self._clock())
+            self._remote.doubt(drone, why, self._clock())
 
     def _answered(self, answer: Answer, correlation: bytes | None) -> None:
         if correlation != bytes.fromhex(answer.id):
@@ -337,8 +337,8 @@ class SharedAirspace:
 
     def _authority_silent(self, now_s: float) -> str | None:
         area = self._credentials.area
-        if not self._exchange.link.up:
-            return f"{self._exchange.link.broker} is not reached"
+        if not self._channel.link.up:
+            return f"{self._channel.link.broker} is not reached"
         if not now_s - self._held_at_s <= AUTHORITY_AGE_S:
             return f"the airspace authority of {area} is not heard: start m3r airspace, or wait for the network"
         if sum(now_s - at_s <= AUTHORITY_AGE_S for at_s in self._epochs.values()) > 1:
@@ -352,7 +352,7 @@ class SharedAirspace:
         number = secrets.token_hex(8)
         self._pending[number] = _Pending(then, self._clock() + ANSWER_S)
         body = AskBody(id=number, inbox=self._inbox.inbox, ask=ask)
-        self._exchange.send(
+        self._channel.send(
             topic,
             body,
             self._credentials.user,
@@ -365,7 +365,3 @@ class SharedAirspace:
 def _settle(future: asyncio.Future[Answer], answer: Answer) -> None:
     if not future.done():
         future.set_result(answer)
-
-
-def _seen(telemetry: Telemetry, now_s: float) -> tuple[Geodetic | None, float]:
-    return telemetry.geodetic, telemetry.age_s(now_s)

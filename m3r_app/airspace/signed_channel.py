@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from m3r_app.airspace.credentials import Broker, Credentials
 from m3r_app.airspace.messages import BODY_OF, LIMIT_BYTES, read_body, write_body
-from m3r_app.airspace.mqtt_connection import Arrived, Link
+from m3r_app.airspace.mqtt_connection import Arrived, MqttConnection
 from m3r_app.airspace.signatures import Dropped, Envelope, Signer, Verifier
 from m3r_app.airspace.topics import AnswerTopic, StateTopic, Topic, parse_topic
 
@@ -30,7 +30,7 @@ class Received:
     correlation: bytes | None
 
 
-class Exchange:
+class SignedChannel:
     """Signs and sends; verifies and hands on."""
 
     def __init__(
@@ -48,7 +48,7 @@ class Exchange:
         self.verifier = Verifier(
             {key_id: key for key_id in credentials.keys if (key := credentials.key(key_id)) is not None}, wall_clock
         )
-        self.link = Link(broker, credentials, self.arrived, say, clock)
+        self.link = MqttConnection(broker, credentials, self.arrived, say, clock)
         self._take = take
         self._doubt = doubt
         self._clock = clock

@@ -5,24 +5,39 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from pydantic import ValidationError
 
 from m3r_app.airspace.messages import Place, State, Velocity
-from m3r_app.airspace.signed_channel import Exchange
+from m3r_app.airspace.signed_channel import SignedChannel
 from m3r_app.airspace.topics import StateTopic, cell_of, cells_near, cells_told
-from m3r_app.vehicle.telemetry import Telemetry
 from safety.vocabulary import Geodetic, Ned
 
 PERIOD_S = 0.1
 
 
-class Teller:
+class Reported(Protocol):
+    """What a drone reports of itself, as far as the air is told of it: degrees and metres, m/s, 1-sigma metres, seconds."""
+
+    @property
+    def geodetic(self) -> Geodetic | None: ...
+    @property
+    def velocity(self) -> Ned | None: ...
+    @property
+    def sigma_h_m(self) -> float: ...
+    @property
+    def sigma_v_m(self) -> float: ...
+    @property
+    def at_s(self) -> float: ...
+
+
+class StatePublisher:
     """Publishes states that are known; what is not known is not told, and its silence is judged by whoever listens."""
 
-    def __init__(self, exchange: Exchange, clock: Callable[[], float] = time.monotonic) -> None:
-        self._exchange = exchange
+    def __init__(self, channel: SignedChannel, clock: Callable[[], float] = time.monotonic) -> None:
+        self._channel = channel
         self._clock = clock
         self._told_at_s: dict[str, float] = {}
         self._cells: dict[str, tuple[str, frozenset[str]]] = {}
@@ -38,7 +53,7 @@ class Teller:
         """Whether anything was told lately."""
         return self._clock() - max(self._told_at_s.values(), default=-math.inf) < 1.0
 
-    def telemetry(self, drone: str, telemetry: Telemetry) -> None:
+    def telemetry(self, drone: str, telemetry: Reported) -> None:
         """A drone's newest telemetry."""
         if telemetry.geodetic is None or telemetry.velocity is None:
             return
@@ -57,7 +72,7 @@ class Teller:
         cell, cells = cell_of(place), cells_told(place)
         if self._cells.get(drone, ("", frozenset[str]()))[0] != cell:
             self._cells[drone] = (cell, cells_near(place))
-        if not self._exchange.may_sign(f"drone.{drone}"):
+        if not self._channel.may_sign(f"drone.{drone}"):
             return
         try:
             body = State(
@@ -70,4 +85,4 @@ class Teller:
             return  # incomplete or stale
         self._told_at_s[drone] = now_s
         for one in cells:
-            self._exchange.send(StateTopic(one, drone), body, f"drone.{drone}")
+            self._channel.send(StateTopic(one, drone), body, f"drone.{drone}")

@@ -44,7 +44,7 @@ class Track:
     doubted_until_s: float = -math.inf
 
 
-class Sky:
+class RemoteTraffic:
     """The drones heard of. Bounded: more than TRACKS_MAX, and one that is nowhere stands for all that were not kept."""
 
     def __init__(self, say: Callable[[str], None]) -> None:

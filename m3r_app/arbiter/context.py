@@ -9,13 +9,11 @@ import math
 from dataclasses import replace
 
 from m3r_app.arbiter import reports
-from m3r_app.events import Announce, ArbiterState, Effect, Session
-from m3r_app.modes import Cause, next_state
+from m3r_app.arbiter.events import Announce, ArbiterState, Effect, Session, Suspected
+from m3r_app.arbiter.modes import DECIDING, Cause, State, next_state
 from safety.situation import Situation
 from safety.vocabulary import Anchor, VehicleState
 
-REST_M_S = 0.1
-"""Slower than this, motion has stopped (design 2)."""
 FACING_TOLERANCE_DEG = 5.0
 RECHECK_S = 0.1
 """What is judged again and again while the drone hovers is judged this often."""
@@ -40,14 +38,16 @@ class Step:
         self.effects.append(effect)
 
     def can(self, cause: Cause) -> bool:
-        return next_state(self.state.state, cause) is not None
+        return next_state(self.state.state, cause, held=self.state.held) is not None
 
     def go(self, cause: Cause) -> None:
         """Take the table's transition; without one, stay."""
-        previous, to = self.state.state, next_state(self.state.state, cause)
-        if to is not None:
-            self.be(state=to)
-            self.do(reports.mode(previous, to, cause))
+        previous, held = self.state.state, self.state.held
+        to = next_state(previous, cause, held=held)
+        if to is None:
+            return
+        self.be(state=to, held=previous is State.EMERGENCY_HOLD if to is State.DETECTED else held and to in DECIDING)
+        self.do(reports.mode(previous, to, cause))
 
     def settle(self, cause: Cause) -> None:
         """Go where the end of the motion is waited for."""
@@ -62,6 +62,11 @@ class Step:
         """Tell the operator, in the name of the session's drone."""
         colour = self.session.colour.capitalize() if self.state.session else "No drone"
         self.do(Announce(f"{colour}: {text}"))
+
+    def violated(self, suspected: Suspected) -> None:
+        """A limit was broken, and it was ours to keep."""
+        self.count("violations")
+        self.do(reports.violation(suspected.breach, suspected.action))
 
     def count(self, what: str) -> None:
         """One more of this field of the tally."""
@@ -90,7 +95,8 @@ class Step:
 
     def at_rest(self, vehicle: VehicleState) -> bool:
         """Whether motion has stopped at a known place (design 2)."""
-        return self.state.speed_m_s < REST_M_S and vehicle.position.finite and math.isfinite(vehicle.yaw_deg)
+        rests = self.state.motion.rests(self.state.noise, self.state.limits)
+        return rests and vehicle.position.finite and math.isfinite(vehicle.yaw_deg)
 
     def situation(self) -> Situation | None:
         """What is known now; None before the first anchor or telemetry."""

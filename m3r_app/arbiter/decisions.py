@@ -7,24 +7,33 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from m3r_app.arbiter import execution as flying
-from m3r_app.arbiter import fusion, reports, wording
+from m3r_app.arbiter import execution, fusion, reports, wording
 from m3r_app.arbiter.context import RECHECK_S, Step
-from m3r_app.arbiter.execution import RETURN_ID
-from m3r_app.events import Announce, Deciding, Leftover, Release, ReservationAnswered, Reserve
-from m3r_app.modes import Cause, State
+from m3r_app.arbiter.events import Announce, Deciding, Leftover, Release, ReservationAnswered, Reserve
+from m3r_app.arbiter.modes import Cause, State
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, interpret, safe
 from safety.vocabulary import PRIMITIVE_OF, Command, Decision, Finding, ManeuverRequest, Plan, Primitive, Verdict
 from safety.volumes import swept_volume
 
 RESERVATION_TIMEOUT_S = 1.0
+STALE_REQUEST_S = 5.0
+"""What was said or shown longer ago than this is asked anew (X6)."""
+AHEAD_S = 0.5
+"""So far the clocks of what is captured may run ahead; what was asked later than now was not asked (X6)."""
+RETURN_ID = "return"
+"""What the decision on a way back that nobody asked for is called."""
 BACK = Intent(Primitive.RETURN, 0.0)
 
 
 def unmet(constraint: str, requirements: tuple[str, ...], text: str) -> Finding:
     """A refusal that is a fact, not a distance."""
     return Finding(constraint, requirements, None, "", passed=False, text=text)
+
+
+def is_of_now(request: ManeuverRequest, now_s: float) -> bool:
+    """Whether it was asked a moment ago, at a time that can be. Source: X6."""
+    return -AHEAD_S <= now_s - request.captured_at_s <= STALE_REQUEST_S
 
 
 UNHEARD = unmet("localization", ("R11", "X6"), "nothing has been heard from the drone")
@@ -35,7 +44,7 @@ UNHEARD = unmet("localization", ("R11", "X6"), "nothing has been heard from the 
 def evaluate(run: Step, request: ManeuverRequest) -> None:
     """Detected -> validated -> planned, or blocked. Source: paper III-C, III-G."""
     intent = intended(run, request)
-    run.be(return_at_s=None, may_return=False)
+    run.be(return_at_s=None)  # if it is refused, the way back is announced anew
     run.go(Cause.REQUEST)
     if isinstance(intent, Finding):
         run.go(Cause.CONFIDENCE_OK)
@@ -95,7 +104,7 @@ def recheck(run: Step) -> None:
     """A delayed request gets its final decision when nothing hinders it any more, or at its deadline."""
     s, situation = run.state, run.situation()
     deciding = s.deciding
-    if s.state is not State.DELAYED or deciding is None or situation is None:
+    if s.state is not State.DELAYED or deciding is None or deciding.request is None or situation is None:
         return
     request, intent, over = deciding.request, deciding.intent, run.now_s >= deciding.deadline_s
     if not over and run.now_s - s.rechecked_at_s < RECHECK_S:
@@ -113,13 +122,16 @@ def recheck(run: Step) -> None:
 # ---------------------------------------------------------------- reserved
 
 
-def reserve(run: Step, request: ManeuverRequest, intent: Intent, decision: Decision) -> None:
-    """X10: airspace first, whoever the authority is. The decision's plan is approved."""
+def reserve(run: Step, request: ManeuverRequest | None, intent: Intent, decision: Decision) -> None:
+    """X10: airspace first, whoever the authority is. The decision's plan is approved. request None: the way back."""
     if decision.plan is None:
         raise RuntimeError("an approved decision carries its plan")
-    run.be(deciding=Deciding(request, intent, decision, run.now_s + RESERVATION_TIMEOUT_S))
+    returns = run.state.returns + (request is None)
+    ask_id = request.id if request is not None else f"{RETURN_ID}-{returns}"
+    deadline_s = run.now_s + RESERVATION_TIMEOUT_S
+    run.be(deciding=Deciding(request, intent, decision, deadline_s, ask_id), returns=returns)
     sigma_m, limits = run.vehicle.sigma_m, run.state.limits
-    run.do(Reserve(request.id, swept_volume(decision.plan, run.session.colour, sigma_m, run.now_s, limits)))
+    run.do(Reserve(ask_id, swept_volume(decision.plan, run.session.colour, sigma_m, run.now_s, limits)))
 
 
 def reservation_answered(run: Step, event: ReservationAnswered) -> None:
@@ -127,9 +139,9 @@ def reservation_answered(run: Step, event: ReservationAnswered) -> None:
     deciding, flight, granted = run.state.deciding, run.state.flight, event.answer == "granted"
     if flight is not None and flight.request_id == event.request_id:
         if not granted:
-            flying.drop(run, f"the airspace it had reserved is {event.answer}")
+            execution.drop(run, f"the airspace it had reserved is {event.answer}")
         return
-    if deciding is None or deciding.request.id != event.request_id or deciding.decision.plan is None:
+    if deciding is None or deciding.ask_id != event.request_id or deciding.decision.plan is None:
         if granted:
             run.do(Release(event.request_id))  # nobody waits for it any more
         return
@@ -143,16 +155,15 @@ def reservation_answered(run: Step, event: ReservationAnswered) -> None:
         turn_down(run, deciding, findings, Cause.GUARDS_FAILED)
         return
     run.be(deciding=None, leftover=None)
-    if event.request_id != RETURN_ID:
+    if deciding.request is not None:
         decided(run, deciding.request, deciding.decision)
-    flying.begin(run, event.request_id, plan, situation, findings)
+    execution.begin(run, event.request_id, plan, situation, findings, asked_for=deciding.request is not None)
 
 
 def revalidate(run: Step, deciding: Deciding, plan: Plan, situation: Situation) -> tuple[Finding, ...]:
     """X10: airspace took its time; is the plan still safe, and the drone still where it starts?"""
     limits = run.state.limits
-    request = None if deciding.request.id == RETURN_ID else deciding.request
-    findings = assess(plan, request, situation, limits, run.state.rules)
+    findings = assess(plan, deciding.request, situation, limits, run.state.rules)
     off_m = situation.vehicle.position.minus(plan.start).norm
     if off_m <= limits.tracking_m:
         return findings
@@ -164,7 +175,7 @@ def overdue(run: Step) -> None:
     """The authority has not answered in time, or a delay is over."""
     deciding = run.state.deciding
     if deciding is not None and run.state.state is not State.DELAYED and run.now_s > deciding.deadline_s:
-        run.do(Release(deciding.request.id))
+        give_back(run, deciding)
         deny(run, deciding, "its authority did not answer")
     recheck(run)
 
@@ -182,7 +193,7 @@ def deny(run: Step, deciding: Deciding, reason: str) -> None:
 def turn_down(run: Step, deciding: Deciding, findings: tuple[Finding, ...], cause: Cause) -> None:
     """What had been approved is rejected after all; the way back is tried again a little later."""
     run.be(deciding=None)
-    if deciding.request.id == RETURN_ID:
+    if deciding.request is None:
         run.be(return_at_s=None, settling_since_s=run.now_s + run.state.limits.delay_s)
         run.tell(f"not returning yet, {wording.reasons(findings)}")
         return
@@ -203,11 +214,17 @@ def withdraw(run: Step, why: str, requirement: str) -> None:
     deciding, pending = run.state.deciding, run.state.pending
     run.be(deciding=None, pending=None)
     if deciding is not None:
-        run.do(Release(deciding.request.id))
-        if deciding.request.id != RETURN_ID:
+        give_back(run, deciding)
+        if deciding.request is not None:
             refuse(run, deciding.request, unmet("contradiction", (requirement,), why))
     if pending is not None:
         refuse(run, pending, unmet("contradiction", (requirement,), why))
+
+
+def give_back(run: Step, deciding: Deciding) -> None:
+    """The airspace that was asked for, if any was, is not wanted any more."""
+    if deciding.ask_id is not None:
+        run.do(Release(deciding.ask_id))
 
 
 def refuse(run: Step, request: ManeuverRequest, finding: Finding) -> None:
@@ -226,7 +243,8 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
             run.count("approved")
         case Verdict.REJECTED | Verdict.REPLACED:
             run.count("rejected")
-            remember(run, request, refused=True)
+            if is_of_now(request, run.now_s):
+                remember(run, request, refused=True)
     colour = run.state.session.colour if run.state.session else "no drone"
     text = wording.decided(colour, wording.asked(request), decision)
     run.do(Announce(f"dry run, {text}" if run.state.policy.dry_run else text))
@@ -234,8 +252,8 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
 
 def remember(run: Step, request: ManeuverRequest, *, refused: bool = False) -> None:
     """For what the next request of another modality has to do with it. Source: X5."""
-    window_s = run.state.limits.fusion_window_s
-    run.be(recent=fusion.remember(run.state.recent, request, window_s, refused=refused))
+    kept_s = 2.0 * run.state.limits.fusion_window_s + STALE_REQUEST_S
+    run.be(recent=fusion.remember(run.state.recent, request, run.now_s - kept_s, refused=refused))
 
 
 def _asked_m(run: Step, request: ManeuverRequest) -> float | None:

@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import Literal
 
 from m3r_app.arbiter import reports, wording
-from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, REST_M_S, Step
-from m3r_app.events import Flight, Fly, Hold, Leftover, Release
-from m3r_app.modes import Cause, State
+from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
+from m3r_app.arbiter.events import Flight, Fly, Hold, Leftover, Release
+from m3r_app.arbiter.modes import Cause, State
 from safety.confidence import unfit_to_fly
 from safety.frames import wrap_deg
 from safety.monitor import Watch, watch
@@ -22,25 +22,24 @@ from safety.supervisor import FULL_TURN_DEG
 from safety.vocabulary import Finding, Ned, Plan, Primitive, VehicleState
 
 ARRIVED_M = 0.1
-CLOSE_ENOUGH_M = 0.3
-"""In wind a drone may rest this far off; it has arrived if it has come no nearer for LINGER_S."""
 LINGER_S = 2.0
+"""In wind, and with a noisy estimate, a drone may rest off its goal, within the tube; it has arrived after so much longer."""
 ENGAGING_S = 1.0
 """So long the autopilot may take to enter Offboard and say so."""
-RETURN_ID = "return"
-"""The way back that nobody asked for flies under this id, and is not counted among the requests."""
 UNHEARD = "nothing was heard from it for a moment"
 
 
-def begin(run: Step, request_id: str, plan: Plan, situation: Situation, findings: tuple[Finding, ...]) -> None:
+def begin(
+    run: Step, request_id: str, plan: Plan, situation: Situation, findings: tuple[Finding, ...], *, asked_for: bool
+) -> None:
     """Fly the plan. What it breaks from the start, by its findings, it may only mend. Source: X13."""
     run.go(Cause.RETURN_APPROVED if plan.primitive is Primitive.RETURN else Cause.VOLUME_GRANTED)
     s, vehicle = run.state, situation.vehicle
-    mending = {f.constraint for f in findings if f.margin is not None and f.margin < 0.0}
+    mending = {(f.constraint, of) for f in findings for of, _ in f.below}
     seen = watch(situation, plan, 0.0, s.speed_m_s, {}, s.limits, s.rules)
-    baseline = {key: margin for key, margin in seen.negative.items() if key[1] in mending}
-    flight = Flight(request_id, plan, run.now_s, vehicle.position, vehicle.yaw_deg, baseline)
-    run.be(flight=flight)
+    baseline = {(kind, rule, of): m for (kind, rule, of), m in seen.negative.items() if (rule, of) in mending}
+    flight = Flight(request_id, plan, run.now_s, vehicle.position, vehicle.yaw_deg, baseline, asked_for=asked_for)
+    run.be(flight=flight, return_at_s=None, may_return=False)
     run.do(Fly(plan))
     run.do(reports.motion(flight, "started", Ned(0.0, 0.0, 0.0)))
 
@@ -59,13 +58,13 @@ def measure(run: Step, vehicle: VehicleState) -> None:
 
 
 def measure_distances(run: Step, flight: Flight, seen: Watch) -> None:
-    """How near it has come to what stands around and to others."""
+    """How near it has come to what stands around and to others; what it mends, it may not make worse again (X13)."""
     measured = replace(
         flight.measured,
         min_clearance_m=_least(flight.measured.min_clearance_m, seen.clearance_m),
         min_separation_m=_least(flight.measured.min_separation_m, seen.separation_m),
     )
-    run.be(flight=replace(flight, measured=measured))
+    run.be(flight=replace(flight, measured=measured, baseline=seen.negative))
 
 
 def _least(a: float | None, b: float | None) -> float | None:
@@ -82,9 +81,9 @@ def arrive(run: Step, vehicle: VehicleState) -> None:
     plan, elapsed_s = flight.plan, run.now_s - flight.started_at_s
     facing = abs(wrap_deg(vehicle.yaw_deg - plan.yaw_deg(plan.duration_s))) <= FACING_TOLERANCE_DEG
     off_m = vehicle.position.minus(plan.goal).norm
-    lingers = elapsed_s >= plan.duration_s + LINGER_S and off_m <= CLOSE_ENOUGH_M
+    lingers = elapsed_s >= plan.duration_s + LINGER_S and off_m <= run.state.limits.tracking_m
     there = off_m <= ARRIVED_M or lingers
-    if not (elapsed_s >= plan.duration_s and there and facing and run.state.speed_m_s < REST_M_S):
+    if not (elapsed_s >= plan.duration_s and there and facing and run.at_rest(vehicle)):
         return
     returning = run.state.state is State.RETURN_TO_ANCHOR
     end(run, "completed")
@@ -103,7 +102,7 @@ def end(run: Step, status: Literal["completed", "aborted"]) -> None:
         return
     run.do(reports.motion(flight, status, run.vehicle.position.minus(flight.origin)))
     run.do(Release(flight.request_id))
-    if flight.request_id != RETURN_ID:
+    if flight.asked_for:
         run.count(status)
     run.be(flight=None)
 

@@ -50,13 +50,16 @@ def relate(
     return Relation.NEW, None
 
 
-def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str) -> ManeuverRequest:
+def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str, *, lifted: bool = True) -> ManeuverRequest:
     """Both as one: independent evidence for the same command leaves only the chance that both are wrong.
 
-    A confidence outside [0, 1] is none, and nor is what is made of it: NaN.
+    lifted: False where one of them would be refused alone: then the first counts by itself. A confidence outside [0, 1] is
+    none, and nor is what is made of it: NaN.
     """
     known = 0.0 <= request.confidence <= 1.0 and 0.0 <= first.confidence <= 1.0
     confidence = 1.0 - (1.0 - request.confidence) * (1.0 - first.confidence) if known else math.nan
+    if not lifted:
+        confidence = first.confidence
     return replace(
         request,
         id=request_id,
@@ -67,12 +70,11 @@ def fused(request: ManeuverRequest, first: ManeuverRequest, request_id: str) -> 
 
 
 def remember(
-    recent: tuple[Remembered, ...], request: ManeuverRequest, window_s: float, *, refused: bool = False
+    recent: tuple[Remembered, ...], request: ManeuverRequest, since_s: float, *, refused: bool = False
 ) -> tuple[Remembered, ...]:
-    """`recent` with this request in place of its older self, and without what is too old to matter."""
-    kept = (
-        r
-        for r in recent
-        if r.request.id != request.id and request.captured_at_s - r.request.captured_at_s <= 2.0 * window_s
-    )
+    """`recent` with this request in place of its older self, and without what was captured before since_s.
+
+    What is too old is told by the clock, never by what the new request says of itself (X6).
+    """
+    kept = (r for r in recent if r.request.id != request.id and r.request.captured_at_s >= since_s)
     return (*kept, Remembered(request, refused))

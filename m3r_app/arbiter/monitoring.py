@@ -5,17 +5,18 @@ Source: R9, R10, X13, paper III-C (Monitor, Recover), design 14. The look itself
 
 from __future__ import annotations
 
-from m3r_app.arbiter import decisions as deciding
-from m3r_app.arbiter import execution as flying
-from m3r_app.arbiter import reports
+from dataclasses import replace
+
+from m3r_app.arbiter import decisions, execution, reports, wording
 from m3r_app.arbiter.context import RECHECK_S, Step
-from m3r_app.arbiter.execution import RETURN_ID
-from m3r_app.events import Hold
-from m3r_app.modes import Cause, State
+from m3r_app.arbiter.events import FaceOperator, Hold, Suspected
+from m3r_app.arbiter.modes import Cause, State
+from safety.estimate import jump
+from safety.frames import bearing_deg
 from safety.monitor import Breach, watch
 from safety.planner import plan_return
 from safety.supervisor import decide_plan
-from safety.vocabulary import Command, ManeuverRequest, Modality, Verdict
+from safety.vocabulary import VehicleState, Verdict
 
 
 def monitor(run: Step) -> bool:
@@ -33,15 +34,59 @@ def monitor(run: Step) -> bool:
     news = [b for b in broken if b.constraint not in s.breached]
     run.be(breached=frozenset(b.constraint for b in broken))
     if flight is not None:
-        flying.measure_distances(run, flight, seen)
+        execution.measure_distances(run, flight, seen)
         aborts = [b for b in seen.breaches if not b.mending]
         if aborts:
             emergency(run, aborts, news)
             return False
     for breach in news:
         _report(run, breach, "none, the plan mends it" if flight else "hold")
-        run.tell(breach.text)
+    if news:
+        run.tell(wording.told(news))
     return True
+
+
+def confirm(run: Step, vehicle: VehicleState) -> None:
+    """What was suspected before the drone last told its mode was ours: the session would be over otherwise. Source: X3."""
+    if run.state.down_since_s is not None:
+        return  # what this is will be known in a moment
+    waiting = tuple(s for s in run.state.suspected if not vehicle.mode_at_s >= s.at_s)
+    for suspected in run.state.suspected:
+        if suspected not in waiting:
+            run.violated(suspected)
+    run.be(suspected=waiting)
+
+
+def jumped(run: Step, vehicle: VehicleState, last: VehicleState) -> bool:
+    """Whether the estimate has jumped: then the drone holds where it now believes to be, and is not moved there. Source: X6."""
+    off = jump(vehicle, last)
+    if not off.norm > run.state.limits.jump_m or run.now_s - last.at_s > run.state.limits.telemetry_age_s:
+        return False
+    session = run.session
+    if session.centre is not None:
+        # The places of the session are what they were; what they are called has changed.
+        run.be(session=replace(session, centre=session.centre.plus(off), hover=()))
+    hold_anew(run, f"its position estimate jumped by {off.norm:.1f} m")
+    return True
+
+
+def hold_anew(run: Step, why: str) -> None:
+    """The drone may not be drawn to a place that has moved: it holds where it is, the anchor with it."""
+    s = run.state
+    if s.session is None or s.vehicle is None:
+        return
+    run.do(Hold("estimate moved"))
+    if s.state is State.FACING:
+        run.be(session=replace(s.session, hover=()))
+        run.do(FaceOperator(bearing_deg(s.vehicle.position, s.session.operator.position)))
+        return
+    if s.session.anchor is not None:
+        run.anchor_here(s.vehicle)
+    run.be(return_at_s=None, may_return=False)
+    if s.flight is not None:
+        execution.drop(run, why)
+    else:
+        run.tell(f"{why}: it holds at where it now believes to be")
 
 
 def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
@@ -51,10 +96,10 @@ def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
     for breach in aborts:
         if breach.kind == "predicted" or breach in news:
             _report(run, breach, "abort")
-    flying.end(run, "aborted")
+    execution.end(run, "aborted")
     run.go(Cause.VIOLATION)
     run.be(return_at_s=None, may_return=policy == "auto" and outward)
-    run.tell("holding, " + "; ".join(dict.fromkeys(b.text for b in aborts)))
+    run.tell(f"holding, {wording.told(aborts)}")
     if policy == "ask":
         run.tell("say continue to return to the anchor")
 
@@ -68,21 +113,25 @@ def way_back(run: Step) -> None:
     if not run.at_rest(vehicle) or run.now_s - s.settling_since_s < RECHECK_S:
         return
     run.be(settling_since_s=run.now_s)
-    anchor, operator = situation.anchor.position, situation.operator.position
-    plan = plan_return(vehicle.position, vehicle.yaw_deg, operator, anchor, limits)
-    decision = decide_plan(RETURN_ID, plan, None, situation, limits, rules=s.rules)
+    anchor, operator = situation.anchor, situation.operator.position
+    try:
+        plan = plan_return(vehicle.position, vehicle.yaw_deg, operator, anchor.position, limits, anchor.yaw_deg)
+    except ValueError:  # nowhere near, or unknown: there is no way that could be judged
+        run.be(return_at_s=None)
+        return
+    decision = decide_plan(decisions.RETURN_ID, plan, None, situation, limits, rules=s.rules)
     if decision.verdict is not Verdict.APPROVED:
         run.be(return_at_s=None)
     elif s.return_at_s is None:
         run.be(return_at_s=run.now_s + limits.return_after_s)
         run.tell(f"returning to the anchor in {limits.return_after_s:.0f} seconds")
     elif run.now_s >= s.return_at_s:
-        # Nobody asks for it: the request only carries its id to the airspace authority and back.
-        request = ManeuverRequest(RETURN_ID, Command.CONTINUE, Modality.PANEL, 1.0, run.now_s, run.now_s)
-        deciding.reserve(run, request, deciding.BACK, decision)
+        decisions.reserve(run, None, decisions.BACK, decision)
 
 
 def _report(run: Step, breach: Breach, action: str) -> None:
     if breach.kind == "actual":
-        run.count("violations")
-    run.do(reports.violation(breach, action))
+        run.be(suspected=(*run.state.suspected, Suspected(breach, action, run.now_s)))
+        confirm(run, run.vehicle)
+    else:
+        run.do(reports.violation(breach, action))

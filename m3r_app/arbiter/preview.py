@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from m3r_app.arbiter.events import Announce, ArbiterState, Hold, Report, Requested
 from m3r_app.arbiter.step import step
-from m3r_app.events import Announce, ArbiterState, Hold, Report, Requested
 from m3r_app.plain import plain
 from safety.vocabulary import ManeuverRequest
 

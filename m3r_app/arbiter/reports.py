@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from m3r_app.events import Flight, Report
-from m3r_app.modes import MODE_OF, Cause, State
+from m3r_app.arbiter.events import Flight, Report
+from m3r_app.arbiter.modes import MODE_OF, Cause, State
 from safety.frames import enu
 from safety.monitor import Breach
 from safety.vocabulary import Decision, Finding, ManeuverRequest, Ned
@@ -71,7 +71,7 @@ def motion(flight: Flight, status: Literal["started", "completed", "aborted"], m
     return Report(
         "motion",
         {
-            "request": flight.request_id,
+            "request": flight.request_id if flight.asked_for else "return",
             "status": status,
             "displacement_enu_m": list(enu(moved)),
             "yaw_deg": measured.yaw_deg,

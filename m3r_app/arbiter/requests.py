@@ -7,21 +7,17 @@ from __future__ import annotations
 
 import math
 
-from m3r_app.arbiter import decisions as deciding
-from m3r_app.arbiter import execution as flying
-from m3r_app.arbiter import reports, sessions
-from m3r_app.arbiter.context import REST_M_S, Step
-from m3r_app.arbiter.decisions import refuse, unmet
+from m3r_app.arbiter import decisions, execution, reports, sessions
+from m3r_app.arbiter.context import Step
+from m3r_app.arbiter.decisions import is_of_now, refuse, unmet
+from m3r_app.arbiter.events import Hold, Requested
 from m3r_app.arbiter.fusion import Relation, fused, relate
+from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.wording import asked
-from m3r_app.events import Hold, Requested
-from m3r_app.modes import Cause, State
 from safety.confidence import input_confidence
 from safety.vocabulary import Command, Finding, ManeuverRequest
 
 STOPPED = "the operator said stop"
-STALE_REQUEST_S = 5.0
-"""What was said or shown longer ago than this is asked anew (X6)."""
 SETTLING_TIMEOUT_S = 10.0
 """A request that waits for the drone to come to rest is refused after this."""
 NO_MANEUVER = frozenset({Command.STOP, Command.ACTIVATE, Command.DISCONNECT})
@@ -33,13 +29,19 @@ def requested(run: Step, event: Requested) -> None:
     request = event.request
     relation, other = Relation.NEW, None
     late = too_late(run, request)
+    limits = run.state.limits
+
+    def sure(asked_for: ManeuverRequest) -> bool:
+        return input_confidence(asked_for, limits).passed
+
     if request.command not in NO_MANEUVER and late is None:
-        limits = run.state.limits
-        relation, other = relate(
-            request, run.state.recent, limits.fusion_window_s, lambda r: input_confidence(r, limits).passed
-        )
+        relation, other = relate(request, run.state.recent, limits.fusion_window_s, sure)
     if relation is Relation.CONFIRMS and other is not None:
-        request = fused(request, other.request, request.id if other.refused else other.request.id)
+        if sure(other.request) and (sure(request) or not other.refused):
+            name = request.id if other.refused else other.request.id
+            request = fused(request, other.request, name, lifted=sure(request))
+        else:
+            relation = Relation.NEW  # doubt and doubt make no certainty: each is judged alone
     run.do(reports.request(request, event.latency_ms))
     run.count("requests")
     match request.command:
@@ -61,9 +63,9 @@ def requested(run: Step, event: Requested) -> None:
 
 def too_late(run: Step, request: ManeuverRequest) -> Finding | None:
     """What was asked long ago, or before STOP, is no request of now. Source: X4, X6."""
-    age_s = abs(run.now_s - request.captured_at_s)
-    if not age_s <= STALE_REQUEST_S:
-        old = f"{age_s:.0f} s ago" if math.isfinite(age_s) else "at an unknown time"
+    if not is_of_now(request, run.now_s):
+        age_s = run.now_s - request.captured_at_s
+        old = f"{age_s:.0f} s ago" if math.isfinite(age_s) and age_s > 0.0 else "at a time that cannot be"
         return unmet("input_confidence", ("R11", "X6"), f"it was asked {old}; ask again")
     if request.captured_at_s < run.state.stopped_at_s:
         return unmet("contradiction", ("X4",), "it was asked before stop")
@@ -81,9 +83,9 @@ def stop(run: Step, request: ManeuverRequest) -> None:
     if not run.state.authority:
         run.tell("nothing to hold, this app has no authority over a drone")
         return
-    deciding.withdraw(run, STOPPED, "X4")
-    run.be(leftover=flying.leftover(run), return_at_s=None, may_return=False)
-    flying.end(run, "aborted")
+    decisions.withdraw(run, STOPPED, "X4")
+    run.be(leftover=execution.leftover(run), return_at_s=None, may_return=False)
+    execution.end(run, "aborted")
     if run.can(Cause.STOP):
         run.settle(Cause.STOP)
     run.tell("holding")
@@ -103,9 +105,9 @@ def pair_or_part(run: Step, request: ManeuverRequest) -> None:
 
 def confirm(run: Step, request: ManeuverRequest) -> None:
     """It confirms what is already decided, flying or flown; what still waits is now asked for by both. Source: X5."""
-    deciding.remember(run, request)
+    decisions.remember(run, request)
     pending = run.state.pending
-    if pending is not None and pending.id == request.id:
+    if pending is not None and pending.id == request.id and request.confidence > pending.confidence:
         run.be(pending=request)
 
 
@@ -114,9 +116,9 @@ def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> N
     why = f"{request.modality} says {asked(request)} but {first.modality} said {asked(first)}"
     if run.state.flight is not None:
         run.do(Hold("contradiction"))
-    deciding.withdraw(run, why, "X5")
+    decisions.withdraw(run, why, "X5")
     run.be(leftover=None, return_at_s=None, may_return=False)
-    flying.end(run, "aborted")
+    execution.end(run, "aborted")
     if run.can(Cause.CONTRADICTED):
         run.settle(Cause.CONTRADICTED)
     refuse(run, request, unmet("contradiction", ("X5",), why))
@@ -124,16 +126,16 @@ def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> N
 
 def maneuver(run: Step, request: ManeuverRequest) -> None:
     """A move, turn or continue: interrupt what runs (X14), then evaluate."""
-    deciding.remember(run, request)
+    decisions.remember(run, request)
     if request.command is not Command.CONTINUE:
         run.be(leftover=None)
-    deciding.withdraw(run, "a newer request came first", "X14")
+    decisions.withdraw(run, "a newer request came first", "X14")
     if run.state.state in (State.ARMED, State.EMERGENCY_HOLD):
-        deciding.evaluate(run, request)
+        decisions.evaluate(run, request)
         return
     if run.state.flight is not None:
         run.do(Hold("interrupted"))
-        flying.end(run, "aborted")
+        execution.end(run, "aborted")
     if run.can(Cause.INTERRUPTED):
         run.settle(Cause.INTERRUPTED)
     run.be(pending=request)
@@ -146,13 +148,13 @@ def come_to_rest(run: Step) -> None:
     fresh = vehicle is not None and vehicle.at_s >= run.state.settling_since_s
     if run.state.state is not State.SETTLING or vehicle is None or not fresh:
         return
-    if not (run.at_rest(vehicle) and vehicle.velocity.norm < REST_M_S):
+    if not run.at_rest(vehicle):
         return
     run.anchor_here(vehicle)
     run.go(Cause.SETTLED)
     if pending is not None:
         run.be(pending=None)
-        deciding.evaluate(run, pending)
+        decisions.evaluate(run, pending)
 
 
 def overdue(run: Step) -> None:

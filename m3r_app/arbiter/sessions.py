@@ -6,18 +6,23 @@ Source: P1, X3, X4, X8; design 4, 12, 15. What is checked before pairing is `pai
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
-from m3r_app.arbiter import decisions as deciding
-from m3r_app.arbiter import execution as flying
-from m3r_app.arbiter import reports
+import numpy as np
+
+from m3r_app.arbiter import decisions, execution, reports
 from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
-from m3r_app.events import Announce, FaceOperator, Hold, LetGo, Pair, PairingAnswered, Session
-from m3r_app.modes import Cause, State
+from m3r_app.arbiter.events import Announce, FaceOperator, Hold, LetGo, LetGoCommand, Pair, PairingAnswered, Session
+from m3r_app.arbiter.modes import Cause, State
+from safety.confidence import localization
+from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_noisy, with_hover
 from safety.frames import bearing_deg, wrap_deg
-from safety.vocabulary import Finding, ManeuverRequest, VehicleState
+from safety.vocabulary import Finding, ManeuverRequest, Path, VehicleState
 
 FACING_TIMEOUT_S = 20.0
+TOLD_WHOLE_S = 1.2
+"""That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
+UNLOCATED_S = 3.0
+"""So long a drone may be without a position before it is told to land, where that is chosen."""
 OURS = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 
@@ -52,7 +57,8 @@ def pairing_answered(run: Step, event: PairingAnswered) -> None:
     elif not run.hears:
         reasons = reasons or ("nothing has been heard from it",)
     elif not reasons:
-        run.be(session=Session(event.colour, event.operator, event.world, run.now_s), breached=frozenset())
+        session = Session(event.colour, event.operator, event.world, run.now_s, restarts=run.vehicle.restarts)
+        run.be(session=session, breached=frozenset(), suspected=(), down_since_s=None)
         run.go(Cause.PAIR_ACCEPTED)
         run.do(FaceOperator(bearing_deg(run.vehicle.position, event.operator.position)))
         return
@@ -61,16 +67,41 @@ def pairing_answered(run: Step, event: PairingAnswered) -> None:
 
 
 def face(run: Step, vehicle: VehicleState) -> None:
-    """P1: Armed only after pairing, and pairing only once the nose is on the operator."""
-    session = run.session
+    """P1: Armed only after pairing, and pairing only once the nose is on the operator.
+
+    Meanwhile its hover is watched: an estimate that is noisier than the limits are made for is learnt, and widens the
+    limits of this session; one that is too noisy is not flown with. Source: X6, X11.
+    """
+    limits = run.state.limits
+    session = replace(run.session, hover=with_hover(run.session.hover, vehicle, run.state.motion, limits.learn_s))
+    run.be(session=session)
     off_deg = abs(wrap_deg(bearing_deg(vehicle.position, session.operator.position) - vehicle.yaw_deg))
-    if not (off_deg <= FACING_TOLERANCE_DEG and run.at_rest(vehicle)):
+    seen_s = spans_s(session.hover)
+    if not (off_deg <= FACING_TOLERANCE_DEG and seen_s >= limits.hover_s):
         return
-    run.be(session=replace(session, centre=vehicle.position, paired_at_s=run.now_s))
+    lately = tuple(s for s in session.hover if vehicle.at_s - s.at_s <= limits.hover_s)
+    if spans_s(lately) < 0.5 * limits.hover_s:
+        return  # what was watched before a gap says nothing of now
+    told = ""
+    if adapted(limits, observed(lately)) != limits or not run.at_rest(vehicle):
+        if seen_s < limits.learn_s - 2.0 * HOVER_SAMPLE_S:
+            return
+        noise = observed(session.hover)
+        why = too_noisy(noise, limits)
+        if why is not None:
+            refuse_pairing(run, session.colour, (why,), taken=True)
+            return
+        wider = adapted(limits, noise)
+        if not run.state.motion.rests(noise, wider):
+            return
+        session = replace(session, configured=limits, noise=noise)
+        run.be(limits=wider)
+        told = f"; its position wanders by {noise.position_m:.1f} m, so it keeps {wider.tracking_m - limits.tracking_m:.1f} m more from everything"
+    run.be(session=replace(session, centre=vehicle.position, paired_at_s=run.now_s, hover=()))
     run.anchor_here(vehicle)
     run.go(Cause.FACING_OPERATOR)
     run.do(reports.pair(session.colour, "confirmed"))
-    run.tell("paired, facing you")
+    run.tell(f"paired, facing you{told}")
 
 
 # ---------------------------------------------------------------- it does not come about
@@ -127,13 +158,29 @@ def disconnect(run: Step, request: ManeuverRequest) -> None:
 
 
 def lost(run: Step, vehicle: VehicleState) -> bool:
-    """Whether the drone is ours no longer; then the session is over. Source: X3."""
-    if not vehicle.in_air:
+    """Whether the drone is ours no longer; then the session is over. Source: X3.
+
+    A Hold that this app did not ask for is somebody's STOP, or the autopilot's own: only a new pairing goes on (design 4).
+    """
+    down = vehicle.in_air is False or vehicle.armed is False
+    run.be(down_since_s=(run.now_s if run.state.down_since_s is None else run.state.down_since_s) if down else None)
+    if vehicle.restarts > run.session.restarts:
+        leave(run, Cause.AUTHORITY_LOST, "nothing", "its autopilot restarted in flight", vehicle_lost=True)
+    elif run.state.down_since_s is not None and run.now_s - run.state.down_since_s < TOLD_WHOLE_S:
+        return False
+    elif vehicle.armed is False and vehicle.flight_mode in (*OURS, "UNKNOWN"):
+        # PX4 calls it landed at once. Nothing that is flown in a session comes down to the ground.
+        leave(run, Cause.AUTHORITY_LOST, "nothing", "it was disarmed in the air by somebody else: it falls")
+    elif vehicle.in_air is False:
         leave(run, Cause.AUTHORITY_LOST, "nothing", "it is no longer in the air, so it is let go")
-    elif vehicle.flight_mode == "UNKNOWN":
+    elif vehicle.flight_mode == "UNKNOWN" or vehicle.in_air is None:
         # Nobody is known to have taken over, so the drone is not left with the last setpoint.
         run.do(Hold("unknown mode"))
-        why = "its flight mode is not told any more, so it is told to hold; pair again to go on"
+        what = "its flight mode is" if vehicle.flight_mode == "UNKNOWN" else "whether it flies is"
+        why = f"{what} not told any more, so it is told to hold; pair again to go on"
+        leave(run, Cause.AUTHORITY_LOST, "hold", why)
+    elif vehicle.unasked_hold:
+        why = "somebody else or its own failsafe put it in Hold, which counts as stop; pair again to go on"
         leave(run, Cause.AUTHORITY_LOST, "hold", why)
     elif vehicle.flight_mode not in OURS:
         why = f"its autopilot or somebody else flies it ({vehicle.flight_mode}); pair again to go on"
@@ -143,14 +190,43 @@ def lost(run: Step, vehicle: VehicleState) -> bool:
     return True
 
 
-def leave(run: Step, cause: Cause, command: Literal["hold", "resume", "nothing"], why: str) -> None:
-    """The session ends: nothing of it is left to fly. command: what becomes of the drone."""
+def unlocated(run: Step) -> None:
+    """A drone in EmergencyHold that does not know where it is gets the best that its autopilot offers, if so chosen."""
+    s, situation = run.state, run.situation()
+    if situation is None or s.policy.position_lost == "hold":
+        return
+    here = Path(np.array([situation.vehicle.position]), np.zeros(1))
+    if localization(here, situation, s.limits).passed:
+        run.be(unlocated_since_s=None)
+    elif s.unlocated_since_s is None:
+        run.be(unlocated_since_s=run.now_s)
+    elif run.now_s - s.unlocated_since_s >= UNLOCATED_S:
+        why = "it does not know where it is any more, so it is told to land"
+        leave(run, Cause.AUTHORITY_LOST, "land", why)
+
+
+def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_lost: bool = False) -> None:
+    """The session ends: nothing of it is left to fly. command: what becomes of the drone.
+
+    What is suspected was ours if we end it, and is not where somebody else had taken over meanwhile.
+    """
     session = run.session
-    deciding.withdraw(run, why, "X3")
-    flying.end(run, "aborted")
+    if cause is Cause.RELEASED:
+        for suspected in run.state.suspected:
+            run.violated(suspected)
+    decisions.withdraw(run, why, "X3")
+    execution.end(run, "aborted")
     run.tell(why)
     run.go(cause)
     run.do(reports.pair(session.colour, "released" if session.anchor is not None else "refused", why))
-    run.be(session=None, pairing=None, vehicle=None, leftover=None, recent=())
-    run.be(return_at_s=None, may_return=False, breached=frozenset())
-    run.do(LetGo(command))
+    run.be(
+        session=None,
+        pairing=None,
+        vehicle=None,
+        leftover=None,
+        recent=(),
+        limits=session.configured or run.state.limits,
+    )
+    run.be(return_at_s=None, may_return=False, breached=frozenset(), suspected=())
+    run.be(down_since_s=None, unlocated_since_s=None)
+    run.do(LetGo(command, vehicle_lost))

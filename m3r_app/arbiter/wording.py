@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from safety.monitor import Breach
 from safety.vocabulary import Decision, Finding, ManeuverRequest, Primitive, Verdict
 
 WORD_OF: dict[Primitive, str] = {
@@ -25,9 +28,37 @@ def asked(request: ManeuverRequest) -> str:
     return request.command.value.replace("go_", "").replace("_", " ")
 
 
+DERIVED = frozenset(
+    {
+        "terrain_clearance",
+        "agl",
+        "obstacle_clearance",
+        "separation",
+        "reservation",
+        "workspace",
+        "session",
+        "geofence",
+        "standoff",
+        "terrain_confidence",
+        "envelope",
+    }
+)
+"""What is computed from the drone's position: where that is not known, these say nothing of their own."""
+
+
 def reasons(findings: tuple[Finding, ...]) -> str:
-    """The sentences of all failing findings, joined."""
-    return "; ".join(f.text for f in findings if not f.passed)
+    """The sentences of all failing findings, joined: one cause, one sentence."""
+    return _causes([(f.constraint, f.text) for f in findings if not f.passed])
+
+
+def told(breaches: Sequence[Breach]) -> str:
+    """The sentences of breaches, joined: one cause, one sentence."""
+    return _causes([(b.constraint, b.text) for b in breaches])
+
+
+def _causes(failing: list[tuple[str, str]]) -> str:
+    unlocated = any(constraint == "localization" for constraint, _ in failing)
+    return "; ".join(dict.fromkeys(text for name, text in failing if not (unlocated and name in DERIVED)))
 
 
 def decided(colour: str, what: str, decision: Decision) -> str:

@@ -6,16 +6,15 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.environment.ground import ground_about
-from safety.vocabulary import Ned
+from safety.vocabulary import Ned, Operator
 
 if TYPE_CHECKING:
-    from m3r_app.run_setup import Setting
     from safety.obstacles import Obstacles
+    from safety.situation import World
 
 
-def stage_of(setting: Setting) -> dict[str, Any]:
+def stage_of(world: World, operator: Operator | None) -> dict[str, Any]:
     """The stage in the session's frame: places north, east, down; levels and heights up; all in metres."""
-    world, operator = setting.world, setting.operator
     centre = operator.position if operator is not None else Ned(0.0, 0.0, 0.0)
     fence = world.geofence
     levels = (

@@ -1,7 +1,7 @@
 """Copies of recorded messages in Foxglove's well-known schemas (JSON encoding), for maps, 3D scenes and logs. Pure.
 
 Frames: "local" is east, north, up (m) about the session's origin; each drone has a frame of its own, x forward.
-Source: Foxglove's message schema reference (LocationFix, FrameTransform, PoseInFrame, Log; the scene is in `scene_views`).
+Source: Foxglove's message schema reference (LocationFix, FrameTransform, PoseInFrame, Log; the scene is in `foxglove_scene`).
 """
 
 from __future__ import annotations

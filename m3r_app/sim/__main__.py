@@ -16,7 +16,8 @@ import sys
 from pathlib import Path
 from types import FrameType
 
-from m3r_app.scenario import SHIPPED, load_scenario
+from m3r_app.environment.scenario import SHIPPED, load_scenario
+from m3r_app.exit_status import ExitStatus
 from m3r_app.sim.fleet import Fleet
 
 FIRST_PORT = 14540
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     truth = None
     if (options.broker is None) != (options.credentials is None):
         print("--broker and --credentials are given together or not at all", file=sys.stderr)
-        return 2
+        return ExitStatus.BAD_INPUT
     try:
         scenario = load_scenario(options.scenario)
         count = len(scenario.vehicles) + len(scenario.traffic)
@@ -50,10 +51,10 @@ def main(arguments: list[str] | None = None) -> int:
             _tell(fleet, options.broker, options.credentials)
     except OSError as error:
         print(f"{error.filename or 'network'}: {error.strerror or error}", file=sys.stderr)
-        return 2
+        return ExitStatus.BAD_INPUT
     except ValueError as error:
         print(error, file=sys.stderr)
-        return 2
+        return ExitStatus.BAD_INPUT
     ended = False
 
     def end(_signal: int, _frame: FrameType | None) -> None:
@@ -71,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
     fleet.close()
     if truth is not None:
         truth.close()
-    return 0
+    return ExitStatus.ENDED
 
 
 def _tell(fleet: Fleet, broker: str, credentials: Path) -> None:

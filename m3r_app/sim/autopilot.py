@@ -8,95 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum, IntEnum
 
-from m3r_app.sim.dynamics import ZERO, Multirotor, PositionError, Setpoint
+from m3r_app.sim.dynamics import ZERO, EstimateError, Multirotor, Setpoint
+from m3r_app.sim.guidance import TICK_S, Guidance
+from m3r_app.sim.modes import FAULT_UNITS, Failsafe, Fault, FlightMode, MavResult, Severity
 from m3r_app.sim.parameters import Parameters
 from safety.vocabulary import Ned
 
-TICK_S = 0.02
 SUBSTEPS = 5
 GPS_JUMP_M = 5.0
 """North, on FAILURE_TYPE_WRONG of the GPS."""
 DEAD_RECKONING_S = 5.0
 """This long after the GPS is gone the position counts as lost."""
+UNKNOWN_AFTER_BOOT_S = 1.0
+"""A rebooted autopilot tells no mode so long."""
 MOTOR_OUT_THRUST = 0.6
 GROUND_LOOKUP_M = 0.05
 FORCE = 21196
 """The magic number of MAV_CMD_COMPONENT_ARM_DISARM."""
-
-
-class FlightMode(Enum):
-    """PX4's custom main and sub mode."""
-
-    MANUAL = (1, 0)
-    ALTCTL = (2, 0)
-    POSCTL = (3, 0)
-    READY = (4, 1)
-    TAKEOFF = (4, 2)
-    LOITER = (4, 3)
-    MISSION = (4, 4)
-    RTL = (4, 5)
-    LAND = (4, 6)
-    OFFBOARD = (6, 0)
-
-    @property
-    def custom_mode(self) -> int:
-        """HEARTBEAT.custom_mode"""
-        return self.value[0] << 16 | self.value[1] << 24
-
-    @property
-    def title(self) -> str:
-        """What PX4 calls it when it speaks to people."""
-        return {"LOITER": "Hold", "RTL": "Return", "POSCTL": "Position", "ALTCTL": "Altitude"}.get(
-            self.name, self.name.capitalize()
-        )
-
-
-class Answer(IntEnum):
-    """MAV_RESULT"""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-
-
-class Severity(IntEnum):
-    """MAV_SEVERITY"""
-
-    EMERGENCY = 0
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
-
-
-class Fault(Enum):
-    """Failures that MAV_CMD_INJECT_FAILURE makes: (FAILURE_UNIT, FAILURE_TYPE)."""
-
-    GPS_OFF = (4, 1)
-    GPS_STUCK = (4, 2)
-    GPS_WRONG = (4, 4)
-    BATTERY_OFF = (100, 1)
-    MOTOR_OFF = (101, 1)
-    RC_OFF = (104, 1)
-    RC_WRONG = (104, 4)
-    """The pilot moves the sticks."""
-    LINK_OFF = (105, 1)
-
-
-_UNITS = {fault.value[0] for fault in Fault}
-
-
-@dataclass(frozen=True, slots=True)
-class Failsafe:
-    """What the autopilot does by itself, and why."""
-
-    mode: FlightMode
-    reason: str
-    blind: bool = False
-    """Position is lost: descend level, drifting with the wind."""
 
 
 class Autopilot:
@@ -105,7 +34,7 @@ class Autopilot:
     def __init__(
         self,
         drone: Multirotor,
-        error: PositionError,
+        error: EstimateError,
         ground_down_m: Callable[[float, float], float],
         parameters: Parameters,
         waypoints: tuple[Ned, ...] = (),
@@ -119,7 +48,7 @@ class Autopilot:
         """
         self.drone, self.error, self.parameters = drone, error, parameters
         self._ground_down_m = ground_down_m
-        self.waypoints, self.waypoint, self._mission_loops = waypoints, 0, mission_loops
+        self._guidance = Guidance(parameters, drone.position, drone.yaw_deg, waypoints, mission_loops)
         self.rc, self.battery = rc, battery
         below = ground_down_m(drone.position.north, drone.position.east)
         self.origin = Ned(drone.position.north, drone.position.east, below)
@@ -132,6 +61,11 @@ class Autopilot:
         self.failsafe: Failsafe | None = None
         self.texts: list[tuple[Severity, str]] = []
         """STATUSTEXT to send; the link empties it."""
+        self.resets = 0
+        """How often the estimate has jumped, as ODOMETRY counts it."""
+        self.boots, self.booted_at_s, self._booting = 0, 0.0, False
+        self.stick_pilot = False
+        """Another ground station has a stick at hand: the manual modes may be flown."""
         self.faults: set[Fault] = set()
         self.link_silent = False
         self.ground_station_at_s = -math.inf
@@ -142,9 +76,6 @@ class Autopilot:
         self._armed_at_s = self._landed_at_s = 0.0
         self._gps_lost_at_s = math.inf
         self._frozen = self._bias = ZERO
-        self._hold, self._hold_yaw_deg = drone.position, drone.yaw_deg
-        self._return_down_m = 0.0
-        self._runner, self._runner_m_s = drone.position, 0.0
         self._entered: FlightMode | None = None
         self._battery_warned = 0
 
@@ -184,7 +115,31 @@ class Autopilot:
     def sigmas_m(self) -> tuple[float, float]:
         """Horizontal and vertical accuracy as the estimator states them."""
         blind_s = max(0.0, self.now_s - self._gps_lost_at_s)
-        return self.error.sigma_h_m + 0.5 * blind_s, self.error.sigma_v_m + 0.1 * blind_s
+        return self.error.sigmas_m(blind_s)
+
+    @property
+    def height_m(self) -> float:
+        """Above the ground below it, in truth."""
+        return self._ground_here() - self.drone.position.down
+
+    @property
+    def goal(self) -> Ned | None:
+        """The place that the last setpoint asked for, in the scenario's frame."""
+        return self._target.position if self._target else None
+
+    @property
+    def waypoint(self) -> int:
+        """Where its mission goes next."""
+        return self._guidance.waypoint
+
+    @property
+    def running(self) -> bool:
+        """It has booted: until then it says and hears nothing."""
+        return self.now_s >= self.booted_at_s
+
+    @property
+    def mode_known(self) -> bool:
+        return not self.boots or self.now_s >= self.booted_at_s + UNKNOWN_AFTER_BOOT_S
 
     @property
     def in_air(self) -> bool:
@@ -199,18 +154,18 @@ class Autopilot:
     def say(self, severity: Severity, text: str) -> None:
         self.texts.append((severity, text))
 
-    def arm(self, force: bool) -> Answer:
+    def arm(self, force: bool) -> MavResult:
         if self.armed:
-            return Answer.ACCEPTED
+            return MavResult.ACCEPTED
         reason = self._not_armable()
         if reason and not force:
             self.say(Severity.CRITICAL, f"Arming denied: {reason}")
-            return Answer.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         self.armed = self.drone.motors_on = True
         self.home = Ned(self.position.north, self.position.east, self._ground_here())
         self._armed_at_s, self._flew = self.now_s, False
         self.say(Severity.INFO, "Armed by external command")
-        return Answer.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _not_armable(self) -> str | None:
         if not self.gps_fix:
@@ -223,13 +178,13 @@ class Autopilot:
             return "no connection to the ground control station"
         return None
 
-    def disarm(self, force: bool) -> Answer:
+    def disarm(self, force: bool) -> MavResult:
         if self.armed and self.in_air and not force:
             self.say(Severity.CRITICAL, "Disarming denied: not landed")
-            return Answer.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         if self.armed:
             self._disarm("Disarmed by external command")
-        return Answer.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _disarm(self, text: str) -> None:
         self.armed = self.drone.motors_on = False
@@ -239,84 +194,111 @@ class Autopilot:
             self.intended = FlightMode.LOITER
         self.say(Severity.INFO, text)
 
-    def set_mode(self, main: int, sub: int) -> Answer:
+    def set_mode(self, main: int, sub: int) -> MavResult:
         """DO_SET_MODE with PX4's custom modes; while disarmed any mode may be chosen."""
         try:
             mode = FlightMode((main, sub if main == 4 else 0))
         except ValueError:
-            return Answer.DENIED
+            return MavResult.DENIED
         return self.change_mode(mode)
 
-    def change_mode(self, mode: FlightMode) -> Answer:
-        if mode is FlightMode.MISSION and not self.waypoints:
+    def change_mode(self, mode: FlightMode) -> MavResult:
+        if mode is FlightMode.MISSION and not self._guidance.waypoints:
             self.say(Severity.CRITICAL, "Switching to Mission is currently not available: no valid mission")
-            return Answer.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         if self.armed:
             reason = self._not_available(mode)
             if reason:
                 self.say(Severity.CRITICAL, f"Switching to {mode.title} is not available: {reason}")
-                return Answer.TEMPORARILY_REJECTED
+                return MavResult.TEMPORARILY_REJECTED
         if self.failsafe:
             self._overridden.add(self.failsafe.reason)
         self.intended = mode
         self.failsafe = None
         # Asked for again, a mode starts again: Hold brakes where the drone is now.
         self._entered = None
-        return Answer.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _not_available(self, mode: FlightMode) -> str | None:
         if mode is FlightMode.OFFBOARD and self._offboard_lost:
             return "no offboard signal"
-        if mode in (FlightMode.MANUAL, FlightMode.ALTCTL, FlightMode.POSCTL) and not self.rc_alive:
+        if mode in (FlightMode.MANUAL, FlightMode.ALTCTL, FlightMode.POSCTL) and not (
+            self.rc_alive or self.stick_pilot
+        ):
             return "no manual control input"
         if mode not in (FlightMode.MANUAL, FlightMode.ALTCTL, FlightMode.LAND) and not self.position_valid:
             return "no valid position estimate"
         return None
 
-    def take_off(self) -> Answer:
+    def take_off(self) -> MavResult:
         """NAV_TAKEOFF: accepted while disarmed, as PX4 does; it climbs once armed."""
         if self.armed and self.in_air:
             self.say(Severity.WARNING, "Already in the air")
-            return Answer.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         return self.change_mode(FlightMode.TAKEOFF)
 
-    def reposition(self, place: Ned, yaw_deg: float) -> Answer:
+    def reposition(self, place: Ned, yaw_deg: float) -> MavResult:
         """DO_REPOSITION: Hold at another place; NaN keeps a coordinate."""
         if not self.in_air:
-            return Answer.DENIED
+            return MavResult.DENIED
         answer = self.change_mode(FlightMode.LOITER)
-        if answer is Answer.ACCEPTED:
+        if answer is MavResult.ACCEPTED:
             self._enter(FlightMode.LOITER)
-            self._hold = Ned(*(new if math.isfinite(new) else old for new, old in zip(place, self._hold, strict=True)))
-            if math.isfinite(yaw_deg):
-                self._hold_yaw_deg = yaw_deg
+            self._guidance.hold_at(place, yaw_deg)
         return answer
 
     def offboard_setpoint(self, setpoint: Setpoint) -> None:
         """A setpoint arrived, in the scenario's frame."""
         self._target, self._target_at_s = setpoint, self.now_s
 
-    def inject(self, unit: int, kind: int) -> Answer:
+    def jump(self, by: Ned) -> None:
+        """The estimator resets its position. Its own modes fly on from there; an Offboard setpoint knows nothing of it."""
+        self._bias = self._bias.plus(by)
+        self._guidance.shift(by)
+        self.resets += 1
+
+    def disarm_in_the_air(self, text: str) -> None:
+        """By somebody else, whatever it flies: it falls."""
+        if self.armed:
+            self._disarm(text)
+
+    def restart(self, for_s: float) -> None:
+        """The flight controller reboots: the motors stop at once, and it is heard again for_s later, from time 0."""
+        self.armed = self.drone.motors_on = False
+        self.failsafe, self._target, self.intended = None, None, FlightMode.LOITER
+        self._target_at_s = self.ground_station_at_s = -math.inf
+        self._overridden.clear()
+        self.texts.clear()
+        self.boots, self.booted_at_s, self._booting = self.boots + 1, self.now_s + for_s, True
+
+    def _boot(self) -> None:
+        """A new local frame and home, where it happens to be."""
+        self._booting = False
+        self.origin = self.home = self.position
+        self.resets = 0
+
+    def inject(self, unit: int, kind: int) -> MavResult:
         """INJECT_FAILURE: FAILURE_UNIT, FAILURE_TYPE; type OK mends the unit."""
         if not self.parameters.bits("SYS_FAILURE_EN"):
             self.say(Severity.WARNING, "Failure injection is disabled: SYS_FAILURE_EN is 0")
-            return Answer.DENIED
-        if unit not in _UNITS:
-            return Answer.UNSUPPORTED
+            return MavResult.DENIED
+        if unit not in FAULT_UNITS:
+            return MavResult.UNSUPPORTED
         if kind == 0:
-            self._mend(unit)
-            return Answer.ACCEPTED
+            self.mend(unit)
+            return MavResult.ACCEPTED
         try:
             fault = Fault((unit, kind))
         except ValueError:
-            return Answer.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         if unit == Fault.RC_OFF.value[0] and not self.rc:
             self.say(Severity.WARNING, "There is no remote control to fail")
-            return Answer.DENIED
-        self._break(fault)
-        return Answer.ACCEPTED
+            return MavResult.DENIED
+        self.break_(fault)
+        return MavResult.ACCEPTED
 
-    def _break(self, fault: Fault) -> None:
+    def break_(self, fault: Fault) -> None:
+        """It fails, permitted or not."""
         match fault:
             case Fault.GPS_OFF:
                 self._gps_lost_at_s = min(self._gps_lost_at_s, self.now_s)
@@ -335,9 +317,11 @@ class Autopilot:
                 self.link_silent = True
         self.faults.add(fault)
 
-    def _mend(self, unit: int) -> None:
+    def mend(self, unit: int) -> None:
+        """Whatever has failed of this FAILURE_UNIT works again."""
         self.faults = {fault for fault in self.faults if fault.value[0] != unit}
         if unit == Fault.GPS_OFF.value[0]:
+            self.resets += self._bias != ZERO
             self._gps_lost_at_s, self._bias = math.inf, ZERO
         elif unit == Fault.MOTOR_OFF.value[0]:
             self.drone.thrust_fraction = 1.0
@@ -421,10 +405,10 @@ class Autopilot:
     def tick(self, wind: Ned) -> None:
         """TICK_S more, in this wind (NED, m/s)."""
         self.now_s += TICK_S
+        self.error.aided = self.gps_fix
         self.error.step(TICK_S)
-        if not self.gps_fix:
-            # Dead reckoning drifts with what the filter takes for standing still.
-            self._bias = self._bias.plus(Ned(0.1 * TICK_S, 0.1 * TICK_S, 0.0))
+        if self._booting and self.running:
+            self._boot()
         self._update_failsafe()
         if self.mode is not self._entered:
             self._enter(self.mode)
@@ -468,88 +452,21 @@ class Autopilot:
     # Where it flies
 
     def _enter(self, mode: FlightMode) -> None:
-        """What a mode remembers from where it begins: a place to stop at, a height to return at."""
-        here, velocity = self.position, self.velocity
-        # Half a second of the present speed is what a smooth stop takes in distance.
-        self._hold = here.plus(Ned(*(0.5 * v for v in velocity)))
-        self._hold_yaw_deg = self.drone.yaw_deg
+        ground_down_m = self._ground_here() + self.position_error.down
+        self._guidance.enter(mode, self.position, self.velocity, self.drone.yaw_deg, self.home, ground_down_m)
         self._entered = mode
-        if mode is FlightMode.RTL:
-            away = self.home.minus(here).horizontal
-            self._return_down_m = min(here.down, self.home.down - min(self.parameters["RTL_RETURN_ALT"], away))
-        elif mode is FlightMode.MISSION:
-            self._runner, self._runner_m_s = self._hold, 0.0
-        elif mode is FlightMode.TAKEOFF:
-            up = self.parameters["MIS_TAKEOFF_ALT"]
-            self._hold = Ned(here.north, here.east, self._ground_here() + self.position_error.down - up)
 
     def _setpoint(self) -> Setpoint:
         if not self.armed:
             return Setpoint()
         if self.failsafe and self.failsafe.blind:
             return Setpoint(velocity=Ned(math.nan, math.nan, self.parameters["MPC_LAND_SPEED"]))
-        match self.mode:
-            case FlightMode.OFFBOARD if self._target is not None:
-                return self._target
-            case FlightMode.MISSION:
-                return self._fly_mission()
-            case FlightMode.RTL:
-                return self._fly_home()
-            case FlightMode.LAND:
-                return self._descend(self._hold)
-            case FlightMode.TAKEOFF:
-                if self.in_air and abs(self.position.down - self._hold.down) < 0.3:
-                    self.intended, self._entered = FlightMode.LOITER, FlightMode.LOITER
-                return self._go(self._hold, self._hold_yaw_deg, up_max_m_s=self.parameters["MPC_TKO_SPEED"])
-        if not self.in_air:
-            return self._descend(self.position)
-        return self._go(self._hold, self._hold_yaw_deg)
-
-    def _go(self, place: Ned, yaw_deg: float, up_max_m_s: float = math.inf) -> Setpoint:
-        cruise = self.parameters["MPC_XY_CRUISE"]
-        return Setpoint(position=place, yaw_deg=yaw_deg, speed_max_m_s=cruise, up_max_m_s=up_max_m_s)
-
-    def _descend(self, place: Ned) -> Setpoint:
-        return Setpoint(
-            position=Ned(place.north, place.east, math.nan),
-            velocity=Ned(0.0, 0.0, self.parameters["MPC_LAND_SPEED"]),
-            yaw_deg=self._hold_yaw_deg,
-        )
-
-    def _fly_home(self) -> Setpoint:
-        here, home = self.position, self.home
-        if home.minus(here).horizontal < 2.0:
-            return self._descend(home)
-        if here.down > self._return_down_m + 1.0:
-            return self._go(Ned(self._hold.north, self._hold.east, self._return_down_m), self._hold_yaw_deg)
-        return self._go(Ned(home.north, home.east, self._return_down_m), self._hold_yaw_deg)
-
-    def _fly_mission(self) -> Setpoint:
-        """Follow a point that runs straight from waypoint to waypoint with bounded acceleration, and rests at each."""
-        goal = self.waypoints[self.waypoint]
-        if self._runner == goal and goal.minus(self.position).norm < self.parameters["NAV_ACC_RAD"]:
-            if self.waypoint == len(self.waypoints) - 1 and not self._mission_loops:
-                self.intended, self._entered, self._hold = FlightMode.LOITER, FlightMode.LOITER, goal
-                return self._go(goal, self._hold_yaw_deg)
-            self.waypoint = (self.waypoint + 1) % len(self.waypoints)
-            goal = self.waypoints[self.waypoint]
-        away = goal.minus(self._runner)
-        left_m = away.norm
-        acceleration = self.parameters["MPC_ACC_HOR"]
-        self._runner_m_s = min(
-            self._runner_m_s + acceleration * TICK_S,
-            self.parameters["MPC_XY_CRUISE"],
-            math.sqrt(2.0 * acceleration * left_m),
-        )
-        run_m = self._runner_m_s * TICK_S
-        if run_m >= left_m - 1e-3:
-            self._runner, self._runner_m_s = goal, 0.0
-            return Setpoint(position=goal, yaw_deg=self._hold_yaw_deg)
-        if away.horizontal > 1.5:
-            self._hold_yaw_deg = math.degrees(math.atan2(away.east, away.north))
-        self._runner = self._runner.plus(Ned(*(run_m / left_m * x for x in away)))
-        velocity = Ned(*(self._runner_m_s / left_m * x for x in away))
-        return Setpoint(position=self._runner, velocity=velocity, yaw_deg=self._hold_yaw_deg)
+        if self.mode is FlightMode.OFFBOARD and self._target is not None:
+            return self._target
+        setpoint, done = self._guidance.fly(self.mode, self.position, self.home, self.in_air)
+        if done:
+            self.intended = self._entered = FlightMode.LOITER
+        return setpoint
 
 
 def _loss_action(act: int, reason: str) -> Failsafe | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from random import Random
+from typing import Protocol
 
 from safety.frames import wrap_deg
 from safety.vocabulary import Ned
@@ -18,6 +19,35 @@ from safety.vocabulary import Ned
 GRAVITY_M_S2 = 9.80665
 ZERO = Ned(0.0, 0.0, 0.0)
 UNSET = Ned(math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """What a vehicle states of its own errors, one sigma: its estimator's, its GPS receiver's, and of its velocity."""
+
+    estimate_h_m: float
+    estimate_v_m: float
+    receiver_h_m: float
+    receiver_v_m: float
+    receiver_m_s: float
+    velocity_m_s: float = math.nan
+    """By the estimator; NaN: it does not say."""
+
+
+class EstimateError(Protocol):
+    """Estimate minus truth, as it goes on."""
+
+    position: Ned
+    velocity: Ned
+    stated: Accuracy
+    aided: bool
+    """The receiver has a fix; set from outside."""
+
+    def step(self, dt_s: float) -> Ned:
+        """The position error dt_s later."""
+
+    def sigmas_m(self, blind_s: float) -> tuple[float, float]:
+        """Horizontal and vertical accuracy as the estimator states them, blind_s after the last GPS fix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,11 +298,14 @@ class PositionError:
 
     def __init__(self, sigma_h_m: float, sigma_v_m: float, tau_s: float, drift_m_s: float, rng: Random) -> None:
         self.sigma_h_m, self.sigma_v_m = sigma_h_m, sigma_v_m
+        self.stated = Accuracy(sigma_h_m, sigma_v_m, sigma_h_m, sigma_v_m, 0.1)
+        self.aided = True
         self._rate_max_m_s = 2.0 * drift_m_s
         axis = sigma_h_m / math.sqrt(2.0)
         self._raw = [GaussMarkov(s, tau_s, rng) for s in (axis, axis, sigma_v_m)]
-        self.position = self._bounded(*(noise.value for noise in self._raw))
-        self.velocity = ZERO
+        self._inside = self._bounded(*(noise.value for noise in self._raw))
+        self._reckoned = ZERO
+        self.position, self.velocity = self._inside, ZERO
 
     def _bounded(self, n: float, e: float, d: float) -> Ned:
         if not self.sigma_h_m or not self.sigma_v_m:
@@ -283,13 +316,22 @@ class PositionError:
         return Ned(2.0 * n / size, 2.0 * e / size, 2.0 * d / size)
 
     def step(self, dt_s: float) -> Ned:
-        """The position error dt_s later; its rate is then in `velocity`."""
+        """The position error dt_s later; its rate is then in `velocity`.
+
+        Without aid, dead reckoning drifts beyond the bound, with what the filter takes for standing still.
+        """
         # Following a point of a convex set from inside it never leaves the set: the bound survives the smoothing.
         goal = self._bounded(*(noise.step(dt_s) for noise in self._raw))
-        rate = [(g - p) / self._SMOOTH_S for g, p in zip(goal, self.position, strict=True)]
+        rate = [(g - p) / self._SMOOTH_S for g, p in zip(goal, self._inside, strict=True)]
         speed = math.sqrt(sum(r * r for r in rate))
         if speed > self._rate_max_m_s:
             rate = [r * self._rate_max_m_s / speed for r in rate]
         self.velocity = Ned(*rate)
-        self.position = Ned(*(p + r * dt_s for p, r in zip(self.position, rate, strict=True)))
+        self._inside = Ned(*(p + r * dt_s for p, r in zip(self._inside, rate, strict=True)))
+        self._reckoned = ZERO if self.aided else self._reckoned.plus(Ned(0.1 * dt_s, 0.1 * dt_s, 0.0))
+        self.position = self._inside.plus(self._reckoned)
         return self.position
+
+    def sigmas_m(self, blind_s: float) -> tuple[float, float]:
+        """As stated, and more without aid."""
+        return self.stated.estimate_h_m + 0.5 * blind_s, self.stated.estimate_v_m + 0.1 * blind_s

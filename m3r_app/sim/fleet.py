@@ -15,13 +15,17 @@ from typing import IO
 
 import numpy as np
 
-from m3r_app.scenario import Scenario, Traffic, VehicleStart, Waypoint
-from m3r_app.sim.autopilot import TICK_S, Autopilot, FlightMode
-from m3r_app.sim.dynamics import Multirotor, PositionError, Wind
+from m3r_app.environment.loaders import load_terrain
+from m3r_app.environment.scenario import LinkModel, Noise, Scenario, Traffic, VehicleStart, Waypoint
+from m3r_app.sim.autopilot import Autopilot
+from m3r_app.sim.dynamics import EstimateError, Multirotor, PositionError, Wind
+from m3r_app.sim.estimator import SIH_SCALES, SihError
+from m3r_app.sim.guidance import TICK_S
+from m3r_app.sim.happenings import Happenings
 from m3r_app.sim.link import VehicleLink
 from m3r_app.sim.messages import adsb_vehicle
+from m3r_app.sim.modes import FlightMode
 from m3r_app.sim.parameters import Parameters
-from m3r_app.world import load_terrain
 from safety.frames import LocalFrame
 from safety.vocabulary import Ned
 
@@ -67,7 +71,9 @@ class Fleet:
         self._squitter_s = 0.0
         for i, (name, start) in enumerate(scenario.vehicles.items()):
             pilot = self._vehicle(scenario, name, start)
-            self.vehicles[name] = self._add(scenario, name, pilot, 1 + i, first_port + i)
+            self.vehicles[name] = self._add(scenario, name, pilot, 1 + i, first_port + i, start.link)
+            self.links[name].telemetry.battery_unknown = start.battery == "unknown"
+            self.links[name].telemetry.rangefinder = start.rangefinder
         for i, (name, traffic) in enumerate(scenario.traffic.items()):
             pilot = self._traffic(scenario, name, traffic)
             port = first_port + len(scenario.vehicles) + i
@@ -85,13 +91,20 @@ class Fleet:
                 self.links[name].autopilot.change_mode(FlightMode.MISSION)
         for link in self.links.values():
             link.autopilot.texts.clear()
+        self._happenings = {
+            name: Happenings(start.events, self.links[name])
+            for name, start in scenario.vehicles.items()
+            if start.events
+        }
 
     def _place(self, waypoint: Waypoint) -> Ned:
         north, east, height = waypoint
         return Ned(north, east, self._ground_down_m(north, east) - height)
 
-    def _error(self, scenario: Scenario, name: str) -> PositionError:
+    def _error(self, scenario: Scenario, name: str, noise: Noise | None = None) -> EstimateError:
         gps = scenario.gps
+        if (scale := SIH_SCALES.get(noise or gps.noise)) is not None:
+            return SihError(scale, _rng(scenario, name, "gps"))
         return PositionError(gps.sigma_h_m, gps.sigma_v_m, gps.tau_s, gps.drift_m_s, _rng(scenario, name, "gps"))
 
     def _vehicle(self, scenario: Scenario, name: str, start: VehicleStart) -> Autopilot:
@@ -104,12 +117,12 @@ class Fleet:
             raise ValueError(f"scenario {scenario.path}: vehicles.{name}.params: {error}") from None
         return Autopilot(
             Multirotor(position=place, yaw_deg=start.heading_deg),
-            self._error(scenario, name),
+            self._error(scenario, name, start.noise),
             self._ground_down_m,
             parameters,
             tuple(map(self._place, start.waypoints)),
             start.rc,
-            start.battery,
+            1.0 if start.battery == "unknown" else start.battery,
         )
 
     def _traffic(self, scenario: Scenario, name: str, traffic: Traffic) -> Autopilot:
@@ -129,13 +142,25 @@ class Fleet:
             mission_loops=traffic.loop,
         )
 
-    def _add(self, scenario: Scenario, name: str, pilot: Autopilot, system_id: int, port: int) -> str:
+    def _add(
+        self,
+        scenario: Scenario,
+        name: str,
+        pilot: Autopilot,
+        system_id: int,
+        port: int,
+        model: LinkModel | None = None,
+    ) -> str:
         wind = scenario.wind
         self._winds[name] = Wind(
             wind.speed_m_s, wind.from_deg, wind.gust_sigma_m_s, wind.gust_tau_s, _rng(scenario, name, "wind")
         )
         obeys = system_id < FIRST_TRAFFIC_ID
-        self.links[name] = VehicleLink(pilot, self.frame, system_id, (HOST, port), obeys)
+        rng = _rng(scenario, name, "link")
+        try:
+            self.links[name] = VehicleLink(pilot, self.frame, system_id, (HOST, port), obeys, model, rng)
+        except ValueError as error:
+            raise ValueError(f"scenario {scenario.path}: vehicles.{name}.link.{error}") from None
         return f"udpin://{HOST}:{port}"
 
     def step(self) -> None:
@@ -155,6 +180,8 @@ class Fleet:
     def tick(self) -> None:
         """TICK_S more for everybody, then telemetry and the record of the truth."""
         self.step()
+        for happening in self._happenings.values():
+            happening.tick()
         for link in self.links.values():
             link.tick()
         self._squitter()
@@ -190,6 +217,8 @@ class Fleet:
                 "armed": pilot.armed,
                 "tunes": link.tunes,
             }
+            if (happenings := self._happenings.get(name)) is not None:
+                line["events"] = happenings.happened
             truth.write(json.dumps(line) + "\n")
 
     def run(self, stopped: Callable[[], bool]) -> None:

@@ -7,19 +7,24 @@ messages; PX4 1.17's answers (MAV_RESULT), parameter encoding and message rates.
 from __future__ import annotations
 
 import math
-import socket
+from dataclasses import dataclass
+from random import Random
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from m3r_app.sim.autopilot import FORCE, TICK_S, Answer, Autopilot, FlightMode
+from m3r_app.environment.scenario import LinkModel
+from m3r_app.sim.autopilot import FORCE, Autopilot
+from m3r_app.sim.channel import Address, Channel
 from m3r_app.sim.dynamics import Setpoint
-from m3r_app.sim.messages import KINDS, Message, Telemetry
+from m3r_app.sim.guidance import TICK_S
+from m3r_app.sim.messages import KINDS, CurrentMode, Message, Telemetry
+from m3r_app.sim.modes import FlightMode, MavResult
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned
 
-Address = tuple[str, int]
-
+# After a boot PX4's heartbeat comes before all else.
 _RATES_S: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.02,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.02,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.02,
@@ -31,7 +36,9 @@ _RATES_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.2,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 0.5,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 0.1,
+    CurrentMode.msgid: 2.0,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
 }
@@ -50,41 +57,59 @@ class VehicleLink:
         system_id: int,
         destination: Address,
         obeys: bool = True,
+        model: LinkModel | None = None,
+        rng: Random | None = None,
     ) -> None:
-        """frame: the scenario's. obeys False: somebody else's drone; it tells where it is and refuses every command."""
+        """frame: the scenario's. obeys False: somebody else's drone; it tells where it is and refuses every command.
+
+        Raises ValueError that names a message which it does not send anyway.
+        """
         self.autopilot, self._frame, self._obeys = autopilot, frame, obeys
         self.telemetry = Telemetry(autopilot, frame, system_id)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((destination[0], 0))
-        self.socket.setblocking(False)
+        self._model = model = model or LinkModel()
+        self.channel = Channel(destination[0], rng or Random(system_id), model.loss, model.delay_ms / 1000.0)
+        self.socket = self.channel.socket
+        self._slowest_s = 1.0 / model.rate_hz_max if model.rate_hz_max else 0.0
+        self._silent = {_number(name) for name in model.without}
         self._destination = destination
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
         # Different drones' messages of one kind do not all fall on the same tick.
-        self._every_s = dict(_RATES_S)
+        self._every_s = {kind: max(every_s, self._slowest_s) for kind, every_s in _RATES_S.items()}
         self._next_s = {kind: (kind * 7 + system_id * 3) % 10 * TICK_S for kind in _RATES_S}
         self._long_texts = 0
         self._to_list: list[tuple[str, Address]] = []
         self._mode_sent: tuple[FlightMode, bool] | None = None
+        self._boots = 0
+        self._companions: list[_Companion] = []
+        self._double: mavlink.MAVLink | None = None
+        """Somebody else's autopilot, whose telemetry comes to the same port."""
         self.tunes = 0
         """How many it was asked to play."""
 
     def close(self) -> None:
-        self.socket.close()
+        self.channel.close()
 
     # Out
 
     def tick(self) -> None:
         """Send what is due. Call it after each tick of the autopilot."""
         pilot = self.autopilot
-        if pilot.link_silent:
+        self.receive()
+        self.channel.flush(pilot.now_s)
+        self._tell_companions()
+        if self._boots != pilot.boots:
+            self._boots = pilot.boots
+            self._every_s = {kind: max(every_s, self._slowest_s) for kind, every_s in _RATES_S.items()}
+            self._next_s = dict.fromkeys(_RATES_S, pilot.now_s)
+        if pilot.link_silent or not pilot.running:
             pilot.texts.clear()
             self._to_list.clear()
             return
         for severity, text in pilot.texts:
-            self._say(int(severity), text.encode())
+            self.say(int(severity), text.encode())
         pilot.texts.clear()
-        # A change of mode is told at once, as PX4 does.
-        if (told := (pilot.mode, pilot.armed)) != self._mode_sent:
+        # By default a change of mode is told at once; PX4 itself waits for its next heartbeat.
+        if self._model.mode_at_once and (told := (pilot.mode, pilot.armed)) != self._mode_sent:
             self._mode_sent = told
             self._next_s[mavlink.MAVLINK_MSG_ID_HEARTBEAT] = pilot.now_s
         for kind, at_s in self._next_s.items():
@@ -97,18 +122,30 @@ class VehicleLink:
 
     def tell(self, message: Message) -> None:
         """Pass on what its receivers hear."""
-        if not self.autopilot.link_silent:
+        if not self.autopilot.link_silent and self.autopilot.running:
             self._send(message)
 
-    def _send(self, message: Message, address: Address | None = None) -> None:
-        try:
-            self.socket.sendto(message.pack(self._mav), address or self._destination)
-        except OSError:
-            # Nobody listens there yet, or any more: a drone goes on flying.
-            return
-        self._mav.seq = (self._mav.seq + 1) % 256
+    def hear_component(self, component: int, kind: int, autopilot: int) -> None:
+        """From now on the heartbeat of another component of this drone is heard. kind: MAV_TYPE."""
+        self._companions.append(_Companion(mavlink.MAVLink(None, self._mav.srcSystem, component), kind, autopilot))
 
-    def _say(self, severity: int, text: bytes) -> None:
+    def hear_autopilot(self, system_id: int) -> None:
+        """From now on another autopilot tells the same at the same port, under its own system id."""
+        self._double = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+
+    def _tell_companions(self) -> None:
+        for one in self._companions:
+            if self.autopilot.now_s >= one.next_s:
+                one.next_s = self.autopilot.now_s + 1.0
+                heartbeat = mavlink.MAVLink_heartbeat_message(one.kind, one.autopilot, 0, 0, 4, 3)
+                self._send(heartbeat, mav=one.mav)
+
+    def _send(self, message: Message, address: Address | None = None, mav: mavlink.MAVLink | None = None) -> None:
+        mav = mav or self._mav
+        self.channel.send(self.autopilot.now_s, message.pack(mav), address or self._destination)
+        mav.seq = (mav.seq + 1) % 256
+
+    def say(self, severity: int, text: bytes) -> None:
         """STATUSTEXT, in numbered pieces if it is long."""
         pieces = [text[i : i + _TEXT_BYTES] for i in range(0, len(text), _TEXT_BYTES)]
         number = 0
@@ -118,24 +155,19 @@ class VehicleLink:
             self._send(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
     def _send_kind(self, kind: int, address: Address) -> bool:
-        if kind not in KINDS:
+        if kind not in KINDS or kind in self._silent:
             return False
         if (message := self.telemetry.build(kind)) is not None:
             self._send(message, address)
+            if self._double is not None:
+                self._send(message, address, self._double)
         return True
 
     # In
 
     def receive(self) -> None:
         """Read and answer everything that has arrived."""
-        while True:
-            try:
-                data, address = self.socket.recvfrom(65535)
-            except BlockingIOError:
-                return
-            except OSError:
-                # Linux reports here that an earlier datagram found nobody listening.
-                continue
+        for data, address in self.channel.arrived(self.autopilot.now_s):
             # A datagram holds whole messages: what is broken in one cannot swallow the next.
             parser = mavlink.MAVLink(None)
             parser.robust_parsing = True
@@ -148,6 +180,8 @@ class VehicleLink:
             return
         pilot = self.autopilot
         kind = message.get_type()
+        if not pilot.running:
+            return
         if pilot.link_silent and getattr(message, "command", None) != mavlink.MAV_CMD_INJECT_FAILURE:
             return
         match kind:
@@ -185,32 +219,32 @@ class VehicleLink:
             case "TIMESYNC" if message.tc1 == 0:
                 self._send(mavlink.MAVLink_timesync_message(self.telemetry.boot_us * 1000, message.ts1), address)
 
-    def _acknowledge(self, message: Message, answer: Answer, address: Address) -> None:
+    def _acknowledge(self, message: Message, answer: MavResult, address: Address) -> None:
         ack = mavlink.MAVLink_command_ack_message(
             message.command, int(answer), 255, 0, message.get_srcSystem(), message.get_srcComponent()
         )
         self._send(ack, address)
 
-    def _command(self, command: int, values: list[float], address: Address) -> Answer:
+    def _command(self, command: int, values: list[float], address: Address) -> MavResult:
         """Carry out a MAV_CMD; values: its seven parameters, latitude and longitude in degrees."""
         pilot = self.autopilot
         match command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._set_interval(values[0], values[1])
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                return Answer.ACCEPTED if self._send_kind(_int(values[0]), address) else Answer.UNSUPPORTED
+                return MavResult.ACCEPTED if self._send_kind(_int(values[0]), address) else MavResult.UNSUPPORTED
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 self._send_kind(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, address)
-                return Answer.ACCEPTED
+                return MavResult.ACCEPTED
         if not self._obeys:
-            return Answer.DENIED
+            return MavResult.DENIED
         match command:
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
                 force = _int(values[1]) == FORCE
                 return pilot.arm(force) if values[0] == 1.0 else pilot.disarm(force)
             case mavlink.MAV_CMD_DO_SET_MODE:
                 if not _int(values[0]) & 1:
-                    return Answer.DENIED
+                    return MavResult.DENIED
                 return pilot.set_mode(_int(values[1]), _int(values[2]))
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return pilot.take_off()
@@ -222,32 +256,36 @@ class VehicleLink:
                 return pilot.change_mode(FlightMode.MISSION)
             case mavlink.MAV_CMD_DO_REPOSITION:
                 return self._reposition(values)
+            case mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN if _int(values[0]) == 1:
+                pilot.restart(0.0)
+                return MavResult.ACCEPTED
             case mavlink.MAV_CMD_INJECT_FAILURE:
                 return pilot.inject(_int(values[0]), _int(values[1]))
-        return Answer.UNSUPPORTED
+        return MavResult.UNSUPPORTED
 
-    def _reposition(self, values: list[float]) -> Answer:
+    def _reposition(self, values: list[float]) -> MavResult:
         lat, lon, amsl = values[4:7]
         here = self._frame.geodetic(self.autopilot.position)
         place = Geodetic(*(new if math.isfinite(new) else old for new, old in zip((lat, lon, amsl), here, strict=True)))
         if not abs(place.lat_deg) <= 90.0:
-            return Answer.DENIED
+            return MavResult.DENIED
         goal = self._frame.ned(place)
         if goal.minus(self.autopilot.position).norm > 10_000.0:
-            return Answer.DENIED
+            return MavResult.DENIED
         return self.autopilot.reposition(goal, math.degrees(values[3]))
 
-    def _set_interval(self, kind: float, interval_us: float) -> Answer:
+    def _set_interval(self, kind: float, interval_us: float) -> MavResult:
         """SET_MESSAGE_INTERVAL: -1 none, 0 the default, never faster than the tick."""
         number = _int(kind)
         if number not in _RATES_S or not math.isfinite(interval_us):
-            return Answer.DENIED if number not in KINDS else Answer.UNSUPPORTED
+            return MavResult.DENIED if number not in KINDS else MavResult.UNSUPPORTED
         if interval_us < 0.0:
             self._every_s[number], self._next_s[number] = math.inf, math.inf
-            return Answer.ACCEPTED
-        self._every_s[number] = max(TICK_S, interval_us * 1e-6) if interval_us else _RATES_S[number]
+            return MavResult.ACCEPTED
+        every_s = interval_us * 1e-6 if interval_us else _RATES_S[number]
+        self._every_s[number] = max(TICK_S, self._slowest_s, every_s)
         self._next_s[number] = self.autopilot.now_s
-        return Answer.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _setpoint(self, message: Message) -> Setpoint | None:
         """The setpoint in the scenario's frame; None for frames and masks that are not flown.
@@ -298,6 +336,24 @@ class VehicleLink:
             ),
             address,
         )
+
+
+@dataclass(slots=True)
+class _Companion:
+    """Another component that is heard through this drone's link."""
+
+    mav: mavlink.MAVLink
+    kind: int
+    autopilot: int
+    next_s: float = 0.0
+
+
+def _number(name: str) -> int:
+    """The id of a message that it can send, by its MAVLink name. Raises ValueError."""
+    kind = CurrentMode.msgid if name == "CURRENT_MODE" else getattr(mavlink, f"MAVLINK_MSG_ID_{name}", None)
+    if kind not in KINDS:
+        raise ValueError(f"without: {name} is no message that it sends")
+    return int(kind)
 
 
 def _int(value: float) -> int:

@@ -6,12 +6,14 @@ Source: MAVLink common messages, filled in as PX4 1.17 does.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from m3r_app.sim.autopilot import Autopilot, FlightMode
+from m3r_app.sim.autopilot import Autopilot
+from m3r_app.sim.modes import FlightMode
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned
 
@@ -29,6 +31,36 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
 )
 _TANGENT_M = 5.0
+_NO_FIX_MM = 100_000
+"""Accuracy of a receiver without a fix, as PX4 tells it."""
+
+
+class CurrentMode(mavlink.MAVLink_message):  # type: ignore[misc]
+    """CURRENT_MODE, which pymavlink's common dialect has not got yet."""
+
+    id = msgid = 436
+    msgname = "CURRENT_MODE"
+    fieldnames: ClassVar = ["custom_mode", "intended_custom_mode", "standard_mode"]
+    ordered_fieldnames: ClassVar = fieldnames
+    fieldtypes: ClassVar = ["uint32_t", "uint32_t", "uint8_t"]
+    crc_extra = 193
+    unpacker = struct.Struct("<IIB")
+    instance_field = None
+
+    def __init__(self, custom_mode: int, intended_custom_mode: int, standard_mode: int) -> None:
+        """intended_custom_mode: what was commanded, where a failsafe flies another. standard_mode 0: none of them."""
+        super().__init__(self.msgid, self.msgname)
+        self._fieldnames, self._instance_field = self.fieldnames, None
+        self.custom_mode, self.intended_custom_mode, self.standard_mode = (
+            custom_mode,
+            intended_custom_mode,
+            standard_mode,
+        )
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        payload = self.unpacker.pack(self.custom_mode, self.intended_custom_mode, self.standard_mode)
+        packed: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
+        return packed
 
 
 class Telemetry:
@@ -37,7 +69,7 @@ class Telemetry:
     def __init__(self, autopilot: Autopilot, frame: LocalFrame, system_id: int) -> None:
         """frame: the scenario's."""
         self.autopilot, self._frame, self._system_id = autopilot, frame, system_id
-        self._origin = frame.geodetic(autopilot.origin)
+        self.battery_unknown = self.rangefinder = False
         self._tangent: tuple[Ned, Geodetic, Geodetic, Geodetic] | None = None
 
     def build(self, kind: int) -> Message | None:
@@ -46,11 +78,11 @@ class Telemetry:
 
     @property
     def _boot_ms(self) -> int:
-        return int(self.autopilot.now_s * 1000.0) & 0xFFFFFFFF
+        return self.boot_us // 1000 & 0xFFFFFFFF
 
     @property
     def boot_us(self) -> int:
-        return int(self.autopilot.now_s * 1e6)
+        return max(0, int((self.autopilot.now_s - self.autopilot.booted_at_s) * 1e6))
 
     def geodetic(self) -> Geodetic:
         """The estimate as latitude, longitude, altitude.
@@ -80,7 +112,25 @@ class Telemetry:
         auto = 0 if pilot.mode in (FlightMode.MANUAL, FlightMode.ALTCTL, FlightMode.POSCTL) else 4 | 8
         base_mode = 1 | 16 | auto | (128 if pilot.armed else 0)
         status = 5 if pilot.failsafe else 4 if pilot.armed else 3
-        return mavlink.MAVLink_heartbeat_message(2, 12, base_mode, pilot.mode.custom_mode, status, 3)
+        mode = pilot.mode.custom_mode if pilot.mode_known else 0
+        return mavlink.MAVLink_heartbeat_message(2, 12, base_mode, mode, status, 3)
+
+    def _current_mode(self) -> Message:
+        pilot = self.autopilot
+        if not pilot.mode_known:
+            return CurrentMode(0, 0, 0)
+        return CurrentMode(pilot.mode.custom_mode, pilot.intended.custom_mode, 0)
+
+    def _distance_sensor(self) -> Message | None:
+        """Height above the ground by a rangefinder that looks down, 0.1 to 50 m; told only where there is one."""
+        if not self.rangefinder:
+            return None
+        pilot = self.autopilot
+        height_cm = round(100.0 * min(50.0, max(0.1, pilot.height_m)))
+        return mavlink.MAVLink_distance_sensor_message(self._boot_ms, 10, 5000, height_cm, 0, 0, 25, 255)
+
+    def _system_time(self) -> Message:
+        return mavlink.MAVLink_system_time_message(0, self._boot_ms)
 
     def _sys_status(self) -> Message:
         pilot = self.autopilot
@@ -99,7 +149,7 @@ class Telemetry:
         if bad & ~_RC:
             bad |= _PREARM
         volts = 14.0 + 2.8 * pilot.battery
-        percent = round(100.0 * pilot.battery)
+        percent = self._percent
         return mavlink.MAVLink_sys_status_message(
             present, present, present & ~bad, 150, int(volts * 1000), 800, percent, 0, 0, 0, 0, 0, 0
         )
@@ -107,16 +157,27 @@ class Telemetry:
     def _battery_status(self) -> Message:
         pilot = self.autopilot
         cells = [int(3500 + 700 * pilot.battery)] * 4 + [65535] * 6
-        percent = round(100.0 * pilot.battery)
-        state = 1 + sum(
-            pilot.battery <= pilot.parameters[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
+        percent = self._percent
+        state = (
+            0
+            if percent < 0
+            else 1
+            + sum(
+                pilot.battery <= pilot.parameters[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR")
+            )
         )
         return mavlink.MAVLink_battery_status_message(0, 1, 3, 2500, cells, 800, -1, -1, percent, 0, state)
+
+    @property
+    def _percent(self) -> int:
+        """-1: unknown"""
+        return -1 if self.battery_unknown else round(100.0 * self.autopilot.battery)
 
     def _extended_sys_state(self) -> Message:
         pilot = self.autopilot
         landed = 1
-        if pilot.in_air:
+        # PX4 takes what is disarmed for landed, even while it falls.
+        if pilot.in_air and pilot.armed:
             landed = {FlightMode.TAKEOFF: 3, FlightMode.LAND: 4}.get(pilot.mode, 2)
         return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
@@ -128,18 +189,24 @@ class Telemetry:
         )
 
     def _global_origin(self) -> Message:
-        return mavlink.MAVLink_gps_global_origin_message(*_scaled(self._origin), self.boot_us)
+        return mavlink.MAVLink_gps_global_origin_message(
+            *_scaled(self._frame.geodetic(self.autopilot.origin)), self.boot_us
+        )
 
     def _gps_raw(self) -> Message:
         pilot = self.autopilot
         if not pilot.gps_fix:
-            return mavlink.MAVLink_gps_raw_int_message(self.boot_us, 0, 0, 0, 0, 65535, 65535, 65535, 65535, 0)
-        sigma_h, sigma_v = pilot.sigmas_m
+            return mavlink.MAVLink_gps_raw_int_message(
+                self.boot_us, 0, 0, 0, 0, 65535, 65535, 65535, 65535, 0, 0, _NO_FIX_MM, _NO_FIX_MM, _NO_FIX_MM
+            )
+        stated, blind_h, blind_v = pilot.error.stated, *pilot.sigmas_m
+        receiver_h_m = stated.receiver_h_m + blind_h - stated.estimate_h_m
+        receiver_v_m = stated.receiver_v_m + blind_v - stated.estimate_v_m
         speed = pilot.velocity.horizontal
         course = math.degrees(math.atan2(pilot.velocity.east, pilot.velocity.north)) % 360.0
         return mavlink.MAVLink_gps_raw_int_message(
             self.boot_us, 3, *_scaled(self.geodetic()), 80, 120, int(speed * 100),
-            int(course * 100), 16, 0, round(sigma_h * 1000), round(sigma_v * 1000), 100, 0,
+            int(course * 100), 16, 0, round(receiver_h_m * 1000), round(receiver_v_m * 1000), round(stated.receiver_m_s * 1000), 0,
         )  # fmt: skip
 
     def _global_position(self) -> Message:
@@ -184,8 +251,10 @@ class Telemetry:
         )
 
     def _odometry(self) -> Message:
-        pilot, unknown = self.autopilot, [math.nan] + [0.0] * 20
+        pilot, of_velocity = self.autopilot, [math.nan] + [0.0] * 20
         sigma_h, sigma_v = pilot.sigmas_m
+        if math.isfinite(sigma := pilot.error.stated.velocity_m_s):
+            of_velocity[0] = of_velocity[6] = of_velocity[11] = sigma**2 / 2.0
         covariance = [0.0] * 21
         # sigma_h is that of the horizontal distance; each axis has half the variance.
         covariance[0] = covariance[6] = sigma_h**2 / 2.0
@@ -196,7 +265,7 @@ class Telemetry:
         forward, right = north * math.cos(yaw) + east * math.sin(yaw), east * math.cos(yaw) - north * math.sin(yaw)
         return mavlink.MAVLink_odometry_message(
             self.boot_us, 1, 12, *self._local(), self._quaternion(), forward, right, down, 0.0, 0.0,
-            math.radians(pilot.drone.yaw_rate_deg_s), covariance, unknown, 0, 8, 100,
+            math.radians(pilot.drone.yaw_rate_deg_s), covariance, of_velocity, pilot.resets & 255, 8, 100,
         )  # fmt: skip
 
     def _rc_channels(self) -> Message | None:
@@ -226,6 +295,8 @@ def _scaled(place: Geodetic) -> tuple[int, int, int]:
 
 _BUILDERS: dict[int, Callable[[Telemetry], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: Telemetry._heartbeat,
+    CurrentMode.msgid: Telemetry._current_mode,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: Telemetry._distance_sensor,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: Telemetry._sys_status,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: Telemetry._battery_status,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: Telemetry._extended_sys_state,

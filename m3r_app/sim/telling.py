@@ -33,7 +33,7 @@ def start_telling(fleet: Fleet, broker_url: str, credentials: Path) -> None:
             for name in names:
                 pilot = fleet.links[name].autopilot
                 sigma_m = max(pilot.sigmas_m)
-                beacon.teller.tell(name, fleet.frame.geodetic(pilot.position), pilot.velocity, sigma_m, 0.0)
+                beacon.publisher.tell(name, fleet.frame.geodetic(pilot.position), pilot.velocity, sigma_m, 0.0)
             await asyncio.sleep(LOOK_S)
 
     async def tell() -> None:

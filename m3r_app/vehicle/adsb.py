@@ -11,6 +11,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
+from m3r_app.readable import readable
 from safety.vocabulary import Geodetic, Ned
 
 KEPT = 256
@@ -19,6 +20,8 @@ FORGET_S = 60.0
 """Not heard for so long, an aircraft has left or landed; until then it could be ever farther from where it was."""
 COORDINATES, ALTITUDE, HEADING, VELOCITY, CALLSIGN, VERTICAL = 1, 2, 4, 8, 16, 128
 """ADSB_FLAGS"""
+CALLSIGN_LONGEST = 9
+"""Characters of ADSB_VEHICLE's field."""
 GEOMETRIC_SIGMA_M, PRESSURE_SIGMA_M = 50.0, 100.0
 """What a position of usual quality (NACp 8: 93 m with 95 %) may be wrong by, and a pressure altitude beyond that, 1 sigma."""
 GEOMETRIC = 1
@@ -43,7 +46,7 @@ class Aircraft:
         return self.callsign or f"aircraft {self.icao:06x}"
 
 
-class Aircrafts:
+class AdsbTraffic:
     """The aircraft that one drone hears of. `flags` and `put` are called on MAVSDK's threads."""
 
     def __init__(self) -> None:
@@ -84,7 +87,7 @@ def aircraft(vehicle: Any, flags: int, now_s: float) -> Aircraft:
     known = flags & HEADING and flags & VELOCITY and flags & VERTICAL and velocity.finite
     return Aircraft(
         int(vehicle.icao_address),
-        " ".join(str(vehicle.callsign).split()) if flags & CALLSIGN else "",
+        readable(str(vehicle.callsign), CALLSIGN_LONGEST) if flags & CALLSIGN else "",
         place if placed else None,
         velocity if known else None,
         GEOMETRIC_SIGMA_M if int(vehicle.altitude_type) == GEOMETRIC else PRESSURE_SIGMA_M,

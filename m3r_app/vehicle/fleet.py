@@ -6,93 +6,16 @@ Neighbours are all vehicles but the paired one, from their own telemetry, and ai
 from __future__ import annotations
 
 import asyncio
-import json
 import math
-import random
-import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from m3r_app.ports import LinkError, require_free
-from m3r_app.scenario import ScenarioError
 from m3r_app.vehicle.adsb import newest
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.interface import Links
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 from safety.frames import LocalFrame
 from safety.vocabulary import Neighbours
-
-SIMULATOR_READY_S = 30.0
-STOP_S = 3.0
-BAD_INPUT = 2
-"""The simulator's exit status for a scenario that it cannot fly."""
-PORTS = (20000, 32000)
-"""Below what the system hands out by itself."""
-PORT_TRIES = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Links:
-    """Where the vehicles are. others: aircraft that are heard but cannot be paired with. complete: nobody else flies."""
-
-    vehicles: dict[str, str]
-    others: dict[str, str]
-    complete: bool
-
-
-class SimulatedFleet:
-    """The built-in simulated fleet, in its own process."""
-
-    def __init__(self, process: asyncio.subprocess.Process, links: Links) -> None:
-        self._process = process
-        self.links = links
-
-    @classmethod
-    async def start(cls, scenario: Path, aircraft: int, truth: Path | None = None) -> SimulatedFleet:
-        """Start it on free ports and wait until it flies. Raises VehicleError with its own last words."""
-        command = [sys.executable, "-m", "m3r_app.sim", "--scenario", str(scenario), "--die-with-parent"]
-        command += ["--port-base", str(free_udp_block(aircraft))]
-        if truth is not None:
-            command += ["--truth", str(truth)]
-        process = await asyncio.create_subprocess_exec(
-            *command,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            # Ctrl-C is for the app: the drones must live long enough to be told to hold.
-            start_new_session=True,
-        )
-        fleet = cls(process, Links({}, {}, complete=True))
-        try:
-            assert process.stdout is not None and process.stderr is not None
-            line = await asyncio.wait_for(process.stdout.readline(), SIMULATOR_READY_S)
-            if not line:
-                words = (await process.stderr.read()).decode(errors="replace").strip().splitlines()
-                last = words[-1] if words else "it said nothing"
-                if await process.wait() == BAD_INPUT:
-                    raise ScenarioError(last)
-                raise VehicleError(f"the simulated fleet did not start: {last}")
-            ready = json.loads(line)
-            fleet.links = Links(ready["vehicles"], ready["traffic"], complete=True)
-        except TimeoutError:
-            await fleet.stop()
-            raise VehicleError(f"the simulated fleet was not ready within {SIMULATOR_READY_S:.0f} s") from None
-        except BaseException:
-            await fleet.stop()
-            raise
-        return fleet
-
-    async def stop(self) -> None:
-        """End the process."""
-        if self._process.returncode is not None:
-            return
-        self._process.terminate()
-        try:
-            await asyncio.wait_for(self._process.wait(), STOP_S)
-        except TimeoutError:
-            self._process.kill()
-            await self._process.wait()
 
 
 class Fleet:
@@ -160,16 +83,3 @@ class Fleet:
             np.array([at_s for *_, at_s in states], dtype=np.float64),
             min(feed_at_s, now_s),
         )
-
-
-def free_udp_block(count: int) -> int:
-    """The first of `count` UDP ports in a row that nobody on this computer holds. Raises VehicleError."""
-    for _ in range(PORT_TRIES):
-        base = random.randrange(*PORTS)
-        try:
-            for port in range(base, base + count):
-                require_free("127.0.0.1", port)
-        except LinkError:
-            continue
-        return base
-    raise VehicleError(f"there are no {count} free UDP ports in a row for the simulated fleet")

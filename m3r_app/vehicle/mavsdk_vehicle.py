@@ -32,10 +32,12 @@ from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry as TelemetryPlugin
 from mavsdk.plugins.transponder import Transponder
 
-from m3r_app.parameters import ParameterClient
 from m3r_app.ports import LinkError, check_link
+from m3r_app.vehicle import mavsdk_litter, px4_modes
 from m3r_app.vehicle.adsb import Aircraft
-from m3r_app.vehicle.mavsdk_telemetry import Reception
+from m3r_app.vehicle.interface import VehicleError
+from m3r_app.vehicle.mavsdk_parameters import ParameterClient
+from m3r_app.vehicle.mavsdk_telemetry import AUTOPILOT_COMPONENT, Reception
 from m3r_app.vehicle.telemetry import NO_HEALTH, UNKNOWN_MODE, Telemetry
 from safety.vocabulary import Ned
 
@@ -45,6 +47,18 @@ SETPOINT_AGE_S = 0.5
 """Offboard is entered only from a position at most this old."""
 MODE_WAIT_S = 2.5
 """The flight mode is reported at 1 Hz, and a report may be lost."""
+DO_SET_MODE = 176
+CUSTOM_MODE_ENABLED = 1
+"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED"""
+RATE_WAIT_S = 4.0
+SETTLED_M_S, SETTLED_M, SETTLED_S = 0.2, 0.5, 1.0
+"""It rests at less than this speed, or if it moves less than this in this time: an estimate may be noisier than it moves."""
+LET_GO_S = 20.0
+"""So long a drone that is let go is told to hold, again and again, until it is seen to."""
+LET_GO_AGAIN_S = 0.3
+BEFORE_TAKEOFF = ("HOLD", "READY")
+"""The modes that a vehicle may be in until it has taken up its take-off."""
+TAKEOFF_ALTITUDE = "MIS_TAKEOFF_ALT"
 OFFBOARD_RETRY_S = 2.0
 """PX4 denies Offboard until it has seen setpoints: how long to ask again."""
 HEALTH_WAIT_S = 3.0
@@ -56,10 +70,6 @@ REASON_WAIT_S = 0.3
 
 log = logging.getLogger("m3r.mavsdk")
 T = TypeVar("T")
-
-
-class VehicleError(Exception):
-    """What the vehicle or its link would not do: one sentence that names the vehicle and what to do."""
 
 
 TUNE = "MFT160L8CG"
@@ -85,12 +95,13 @@ class Vehicle:
         self._loop = asyncio.get_running_loop()
         self._mavsdk = mavsdk
         self._action = Action(system)
-        self._offboard = Offboard(system)
+        self._system = system
+        self._offboard: Offboard | None = None
+        """What sends setpoints, and sends the last one again and again for as long as it exists."""
         self._mission = MissionRaw(system)
         direct = MavlinkDirect(system)
         # Blocking calls get a thread of their own, so that nobody else's work can delay them.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix=f"vehicle-{colour}")
-        self._parameters = ParameterClient(Param(system), direct, system.get_system_id(), self._executor)
         self._listeners: list[Callable[[Telemetry], None]] = []
         self._wake_pending = False
         self._closed = False
@@ -98,6 +109,9 @@ class Vehicle:
         self._direct = direct
         self._reception = Reception(
             clock, TelemetryPlugin(system), direct, Transponder(system), self._wake, self._status_text
+        )
+        self._parameters = ParameterClient(
+            Param(system), direct, system.get_system_id(), self._executor, lambda: self._reception.is_px4
         )
 
     @classmethod
@@ -110,6 +124,7 @@ class Vehicle:
             raise VehicleError(f"{colour}: {error}") from None
         loop = asyncio.get_running_loop()
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+        mavsdk_litter.begin()
         mavsdk = Mavsdk(configuration)
         found: asyncio.Future[Any] = loop.create_future()
         try:
@@ -211,6 +226,27 @@ class Vehicle:
             await self.wait_for(lambda t: t.healthy, HEALTH_WAIT_S, "good health")
         return self.telemetry()
 
+    async def wait_measured(self) -> None:
+        """Wait a little until the rate of its positions is known; an unknown one is for whoever pairs (X8)."""
+        with suppress(VehicleError):
+            await self.wait_for(lambda t: math.isfinite(t.rate_hz), RATE_WAIT_S, "a rate of positions")
+
+    async def wait_settled(self, timeout_s: float) -> None:
+        """Wait until it has come to rest in Hold: by its velocity, or where that is noisy by its position. Raises VehicleError."""
+        places: deque[tuple[float, Ned]] = deque()
+
+        def settled(t: Telemetry) -> bool:
+            if t.flight_mode != "HOLD" or t.velocity is None or t.local is None:
+                return False
+            if not places or t.at_s > places[-1][0]:
+                places.append((t.at_s, t.local))
+            while places[-1][0] - places[0][0] > SETTLED_S:
+                places.popleft()
+            stays = places[-1][0] - places[0][0] > 0.8 * SETTLED_S and t.local.minus(places[0][1]).norm < SETTLED_M
+            return t.velocity.norm < SETTLED_M_S or stays
+
+        await self.wait_for(settled, timeout_s, "coming to rest in Hold")
+
     # Motion
 
     def set_position_ned(self, point: Ned, yaw_deg: float) -> None:
@@ -222,9 +258,16 @@ class Vehicle:
         if not point.finite or not math.isfinite(yaw_deg):
             raise VehicleError(f"{self.colour}: a setpoint of {tuple(point)}, {yaw_deg} degrees is no position.")
         try:
+            if self._offboard is None:
+                self._offboard = self._new_offboard()
             self._offboard.set_position_ned(PositionNedYaw(*point, yaw_deg))
         except (MavsdkError, RuntimeError) as error:
             raise VehicleError(f"{self.colour}: a setpoint could not be sent ({error}).") from None
+
+    def _new_offboard(self) -> Offboard:
+        if self._closed:
+            raise RuntimeError("the link is closed")
+        return Offboard(self._system)
 
     async def enter_offboard(self) -> None:
         """Enter Offboard at the present position and yaw, never at a remembered one. Raises VehicleError.
@@ -241,7 +284,7 @@ class Vehicle:
                 )
             self.set_position_ned(*here)
             try:
-                await self._command("Offboard", self._offboard.start_async)
+                await self._change_mode("Offboard", px4_modes.OFFBOARD, 0)
                 break
             except VehicleError:
                 if self._loop.time() > deadline_s:
@@ -250,26 +293,53 @@ class Vehicle:
         await self.wait_for(lambda t: t.flight_mode == "OFFBOARD", MODE_WAIT_S, "Offboard")
 
     async def hold(self) -> None:
-        """Command Hold; returns when it is acknowledged. Raises VehicleError. That it holds is seen in flight_mode."""
-        await self._command("Hold", self._action.hold_async)
+        """Command Hold; returns when it is acknowledged and the vehicle itself reports it. Raises VehicleError."""
+        await self._change_mode("Hold", px4_modes.AUTO, px4_modes.HOLD_SUB)
+        await self.wait_for(lambda t: t.flight_mode == "HOLD", MODE_WAIT_S, "Hold")
+
+    async def end_setpoints(self) -> None:
+        """No setpoint leaves from here on. MAVSDK sends the last one again for as long as its plugin exists, so it ends."""
+        offboard, self._offboard = self._offboard, None
+        if offboard is not None:
+            # In a thread: it waits for a callback that may be waiting for the interpreter.
+            await self._loop.run_in_executor(self._executor, offboard.destroy)
+
+    async def leave_in_hold(self) -> None:
+        """End the setpoints and command Hold until it is seen, or until somebody else flies it. Raises VehicleError."""
+        await self.end_setpoints()
+        deadline_s = self._loop.time() + LET_GO_S
+        while True:
+            if self.telemetry().flight_mode not in ("OFFBOARD", "HOLD", UNKNOWN_MODE):
+                return  # somebody took over: that is never fought (X3)
+            try:
+                await self.hold()
+            except VehicleError:
+                if self._loop.time() > deadline_s or self._closed:
+                    raise
+                await asyncio.sleep(LET_GO_AGAIN_S)
+            else:
+                return
 
     def hold_blocking(self, timeout_s: float) -> None:
         """Command Hold from any thread, without the event loop: for the guard. Raises VehicleError."""
         answered = threading.Event()
         results: list[Any] = []
 
-        def done(result: Any, _: Any) -> None:
-            results.append(result)
+        def done(result: Any, *more: Any) -> None:
+            results.append(_verdict(result, *more))
             answered.set()
 
         try:
-            self._action.hold_async(done)
+            if self._reception.is_px4:
+                self._direct.send_command_async(self._mode_command(px4_modes.AUTO, px4_modes.HOLD_SUB), done)
+            else:
+                self._action.hold_async(done)
         except RuntimeError as error:
             raise VehicleError(f"{self.colour}: Hold could not be sent ({error}).") from None
         if not answered.wait(timeout_s):
             raise VehicleError(f"{self.colour}: Hold was sent and not acknowledged within {timeout_s:g} s.")
-        if results[0].name != "SUCCESS":
-            raise VehicleError(f"{self.colour}: Hold was answered with {results[0].name}.")
+        if results[0] != "SUCCESS":
+            raise VehicleError(f"{self.colour}: Hold was answered with {results[0]}.")
 
     def hold_unless_taken_over(self, timeout_s: float) -> None:
         """What the guard calls: as hold_blocking, but nothing where the flight mode says that somebody took over (X3).
@@ -289,27 +359,47 @@ class Vehicle:
         if telemetry.in_air is not False or telemetry.local is None:
             raise VehicleError(f"{self.colour}: take-off is only for a vehicle that is known to stand on the ground.")
         ground_down_m = telemetry.local.down
+
+        def risen_m(t: Telemetry) -> float:
+            return ground_down_m - t.local.down if t.local is not None else -math.inf
+
+        kept = (await self.parameters([TAKEOFF_ALTITUDE]))[TAKEOFF_ALTITUDE] if self._reception.is_px4 else None
         await self._command("the take-off altitude", lambda done: self._action.set_takeoff_altitude_async(metres, done))
-        await self._command("arming", self._action.arm_async)
-        await self.wait_for(lambda t: t.armed is True, 5.0, "arming")
-        await self._command("take-off", self._action.takeoff_async)
-        await self.wait_for(
-            lambda t: (
-                t.in_air is True
-                and t.flight_mode == "HOLD"
-                and t.local is not None
-                and ground_down_m - t.local.down > 0.8 * metres
-            ),
-            timeout_s,
-            f"a take-off to {metres:g} m",
-        )
+        try:
+            await self._command("arming", self._action.arm_async)
+            await self.wait_for(lambda t: t.armed is True, 5.0, "arming")
+            await self._command("take-off", self._action.takeoff_async)
+            reached, began = f"a take-off to {metres:g} m", False
+
+            def there(t: Telemetry) -> bool:
+                return t.in_air is True and t.flight_mode == "HOLD" and risen_m(t) > 0.8 * metres
+
+            def over(t: Telemetry) -> bool:
+                nonlocal began
+                began = began or t.flight_mode == "TAKEOFF"
+                return there(t) or t.flight_mode not in (UNKNOWN_MODE, "TAKEOFF", *(() if began else BEFORE_TAKEOFF))
+
+            done = await self.wait_for(over, timeout_s, reached)
+            if not there(done):
+                raise VehicleError(
+                    f"{self.colour}: {reached} was ended by somebody else or its own failsafe, at "
+                    f"{risen_m(done):.1f} m, with {done.flight_mode}."
+                )
+        finally:
+            # It is the vehicle's own setting, for take-offs of others.
+            if kept is not None and math.isfinite(kept) and kept != metres:
+                await asyncio.shield(self.set_parameter(TAKEOFF_ALTITUDE, kept))
 
     async def land(self, timeout_s: float = 120.0) -> None:
         """Come down here and wait until it stands on the ground. Raises VehicleError."""
         if self.telemetry().in_air is not True:
             raise VehicleError(f"{self.colour}: landing is only for a vehicle that is known to fly.")
-        await self._command("landing", self._action.land_async)
+        await self.begin_landing()
         await self.wait_for(lambda t: t.in_air is False, timeout_s, "the landing")
+
+    async def begin_landing(self) -> None:
+        """Tell it to come down here; returns when that is acknowledged. Raises VehicleError."""
+        await self._command("landing", self._action.land_async)
 
     async def resume_mission(self) -> None:
         """Go on with the mission that is in the vehicle. Raises VehicleError."""
@@ -335,31 +425,52 @@ class Vehicle:
 
     def _check_alone(self) -> None:
         """Two vehicles on one link could be taken for each other. Raises VehicleError."""
-        if sum(system.has_autopilot() for system in self._mavsdk.get_systems()) > 1:
+        systems = sorted(system.get_system_id() for system in self._mavsdk.get_systems() if system.has_autopilot())
+        if len(systems) > 1:
             raise VehicleError(
-                f"{self.colour}: more than one vehicle answers on {self.url}: give each a port of its own."
+                f"{self.colour}: more than one vehicle answers on {self.url} "
+                f"(system ids {' and '.join(map(str, systems))}): give each a port of its own."
             )
 
-    async def _command(self, what: str, send: Callable[[Callable[[Any, Any], None]], None]) -> None:
-        """Send a command with MAVSDK's own callback and wait for its result."""
+    async def _change_mode(self, what: str, main: int, sub: int) -> None:
+        """A mode of PX4's, by its own component; of another autopilot, whatever MAVSDK takes for the same. Raises VehicleError."""
+        if self._reception.is_px4:
+            await self._command(what, lambda done: self._direct.send_command_async(self._mode_command(main, sub), done))
+        elif main == px4_modes.OFFBOARD:
+            offboard = self._offboard
+            if offboard is not None:
+                await self._command(what, offboard.start_async)
+        else:
+            await self._command(what, self._action.hold_async)
+
+    def _mode_command(self, main: int, sub: int) -> MavlinkMessage:
+        """DO_SET_MODE to the autopilot itself: MAVSDK may take another component for it."""
+        target = {"target_system": self._system.get_system_id(), "target_component": AUTOPILOT_COMPONENT}
+        values = dict.fromkeys((f"param{i}" for i in range(1, 8)), 0.0)
+        values |= {"param1": float(CUSTOM_MODE_ENABLED), "param2": float(main), "param3": float(sub)}
+        fields = {**target, "command": DO_SET_MODE, "confirmation": 0, **values}
+        return MavlinkMessage("COMMAND_LONG", 0, 0, target["target_system"], AUTOPILOT_COMPONENT, json.dumps(fields))
+
+    async def _command(self, what: str, send: Callable[[Callable[..., None]], None]) -> None:
+        """Send a command with MAVSDK's own callback (its result, then a COMMAND_ACK if it has one) and wait for its result."""
         if self._closed:
             raise VehicleError(f"{self.colour}: {what} was asked for after the link was closed.")
         asked_at_s = self._clock()
         answered: asyncio.Future[Any] = self._loop.create_future()
         try:
-            send(lambda result, _: _post(self._loop, _settle, answered, result))
+            send(lambda result, *more: _post(self._loop, _settle, answered, _verdict(result, *more)))
         except RuntimeError as error:
             raise VehicleError(f"{self.colour}: {what} could not be sent ({error}).") from None
         try:
             result = await asyncio.wait_for(answered, COMMAND_TIMEOUT_S)
         except TimeoutError:
             raise VehicleError(f"{self.colour}: no answer to {what} within {COMMAND_TIMEOUT_S:g} s.") from None
-        if result.name == "SUCCESS":
+        if result == "SUCCESS":
             return
-        if result.name == "TIMEOUT":
+        if result == "TIMEOUT":
             raise VehicleError(f"{self.colour}: no answer to {what}: the link or the autopilot is silent.")
         await asyncio.sleep(REASON_WAIT_S)
-        raise VehicleError(f"{self.colour}: {what} was refused ({result.name}){self._reason(asked_at_s)}.")
+        raise VehicleError(f"{self.colour}: {what} was refused ({result}){self._reason(asked_at_s)}.")
 
     def _reason(self, since_s: float) -> str:
         """What the autopilot said in words since then, to be appended."""
@@ -389,6 +500,28 @@ def _post(loop: asyncio.AbstractEventLoop, call: Callable[..., None], *arguments
     except RuntimeError:
         if not loop.is_closed():
             raise
+
+
+MAV_RESULT = {
+    0: "SUCCESS",
+    1: "TEMPORARILY_REJECTED",
+    2: "COMMAND_DENIED",
+    3: "UNSUPPORTED",
+    4: "FAILED",
+    5: "IN_PROGRESS",
+    6: "CANCELLED",
+}
+
+
+def _verdict(result: Any, *more: Any) -> str:
+    """What became of a command, by name: of MAVSDK's own plugins the result, of a message sent as it is its COMMAND_ACK's."""
+    acknowledged = next((m for m in more if isinstance(m, MavlinkMessage)), None)
+    if acknowledged is None or result.name != "SUCCESS":
+        return str(result.name)
+    try:
+        return MAV_RESULT.get(int(json.loads(acknowledged.fields_json)["result"]), "UNKNOWN")
+    except (ValueError, KeyError, TypeError):
+        return "UNKNOWN"
 
 
 def _settle(future: asyncio.Future[Any], result: Any) -> None:

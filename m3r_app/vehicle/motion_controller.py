@@ -32,11 +32,17 @@ class Autopilot(Protocol):
     async def enter_offboard(self) -> None:
         """Offboard from a setpoint at the current position."""
 
-    async def hold(self) -> None:
-        """The autopilot's own Hold."""
+    async def end_setpoints(self) -> None:
+        """No setpoint leaves from here on."""
+
+    async def leave_in_hold(self) -> None:
+        """No setpoint leaves from here on, and the autopilot's own Hold, until it is seen."""
 
     async def resume_mission(self) -> None:
         """Back to the mission it flew before."""
+
+    async def begin_landing(self) -> None:
+        """Come down here, by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +64,12 @@ class _Flight:
 
     plan: Plan
     shift: Ned
+    lead_s: float
+    """How far ahead of the plan the setpoint runs: what the vehicle is behind it."""
 
     def at(self, t_s: float) -> tuple[Ned, float]:
         t_s = min(t_s, self.plan.duration_s)
-        return self.plan.position(t_s).plus(self.shift), self.plan.yaw_deg(t_s)
+        return self.plan.led(t_s, self.lead_s).plus(self.shift), self.plan.yaw_deg(t_s)
 
 
 class MotionController:
@@ -76,7 +84,9 @@ class MotionController:
         beat: Callable[[], None],
         stalled: Callable[[str], None],
         sent: Callable[[float, Ned, float], None] = lambda _t, _p, _y: None,
+        lead_s: float = 0.0,
     ) -> None:
+        """lead_s: how far behind its setpoint the vehicle is; setpoints of a plan run ahead by as much."""
         self._autopilot = autopilot
         self._clock = clock
         self._yaw_rate_deg_s = yaw_rate_deg_s
@@ -84,6 +94,7 @@ class MotionController:
         self._beat = beat
         self._stalled = stalled
         self._sent = sent
+        self._lead_s = lead_s
         self._task: _Hover | _Flight | None = None
         self._last: tuple[Ned, float] | None = None
         self._since_s = 0.0
@@ -96,7 +107,7 @@ class MotionController:
 
     async def fly(self, plan: Plan, shift: Ned) -> None:
         """Stream `plan` from now on; shift: session frame to the vehicle's own, added."""
-        await self._take(lambda: _Flight(plan, shift))
+        await self._take(lambda: _Flight(plan, shift, self._lead_s))
 
     async def face(self, bearing_deg: float) -> None:
         """Hover here and turn the nose to bearing_deg."""
@@ -112,9 +123,13 @@ class MotionController:
         self.disengaged()
         async with self._mode_lock:
             if command == "hold":
-                await self._autopilot.hold()
-            elif command == "resume":
+                await self._autopilot.leave_in_hold()
+                return
+            await self._autopilot.end_setpoints()
+            if command == "resume":
                 await self._autopilot.resume_mission()
+            elif command == "land":
+                await self._autopilot.begin_landing()
 
     def disengaged(self) -> None:
         """The autopilot is no longer in Offboard: what was flown is over, the next order enters it anew."""

@@ -62,7 +62,7 @@ REQUIRED = (
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """A required parameter that is not as required. value None: the vehicle does not have it."""
+    """A required parameter that is not as required. value None: the vehicle does not have it; NaN: it did not answer."""
 
     name: str
     value: float | None
@@ -73,6 +73,8 @@ class Mismatch:
     def text(self) -> str:
         """One sentence for the operator."""
         found = "does not exist on this vehicle" if self.value is None else f"is {self.value:g}"
+        if self.value is not None and math.isnan(self.value):
+            return f"{self.name} did not answer: the link loses messages, so {self.remedy}."
         return f"{self.name} {found} and must be {self.required}: {self.remedy}."
 
 
@@ -96,6 +98,8 @@ def mismatches(values: Mapping[str, float | None], rc_present: bool | None) -> t
         value = values.get(parameter.name)
         if value is None:
             remedy = f"{parameter.why}, so fly a PX4 that has this parameter"
+        elif math.isnan(value):
+            remedy = "come nearer or better the link, and pair again"
         elif math.isfinite(value) and parameter.accepts(value):
             continue
         else:
@@ -115,7 +119,7 @@ async def apply(vehicle: ParameterAccess, rc_present: bool | None) -> tuple[Mism
     """Set what is not as required, then read all of it back: what is returned still is not as required."""
     by_name = {parameter.name: parameter for parameter in REQUIRED}
     for mismatch in await check(vehicle, rc_present):
-        if mismatch.value is not None:
+        if mismatch.value is not None and math.isfinite(mismatch.value):
             present = mismatch.value if math.isfinite(mismatch.value) else 0.0
             await vehicle.set_parameter(mismatch.name, by_name[mismatch.name].remedied(present))
     return await check(vehicle, rc_present)

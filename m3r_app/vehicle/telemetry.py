@@ -7,6 +7,7 @@ are None or NaN, never a default that looks fine (X6). Sources are MAVLink messa
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -16,6 +17,11 @@ from safety.vocabulary import Geodetic, Ned
 MODE_AGE_S = 3.0
 """Flight mode, arming, health and landed state come at about 1 Hz: older than this and they are unknown."""
 ACCURACY_AGE_S = 3.0
+LOST_FIX_M = 10.0
+"""A receiver whose accuracy is worse has no fix that a drone could be flown by near anything."""
+DISTANCE_AGE_S = 1.0
+RATE_S = 2.0
+"""Over this time the rate of positions is measured."""
 BATTERY_AGE_S = 10.0
 """PX4 sends BATTERY_STATUS every two seconds."""
 
@@ -39,7 +45,7 @@ class Telemetry:
     yaw_deg: float
     yaw_rate_deg_s: float
     sigma_h_m: float
-    """1-sigma accuracy: the worse of what the estimator (ESTIMATOR_STATUS) and the receiver (GPS_RAW_INT) state."""
+    """1-sigma accuracy that the estimator states (ESTIMATOR_STATUS), or where it states none the receiver (GPS_RAW_INT)."""
     sigma_v_m: float
     flight_mode: str
     """MAVSDK's name of it: OFFBOARD, HOLD, MISSION, POSCTL, TAKEOFF, ... or UNKNOWN."""
@@ -54,6 +60,14 @@ class Telemetry:
     """Remaining fraction, 0 to 1."""
     rc_present: bool | None
     """Whether a remote control is heard by the autopilot (SYS_STATUS)."""
+    rate_hz: float = math.nan
+    """How many positions arrive in a second, over the last two; NaN: too few to say."""
+    home: Geodetic | None = None
+    """HOME_POSITION"""
+    ground_distance_m: float | None = None
+    """What a rangefinder that looks down measures (DISTANCE_SENSOR)."""
+    restarts: int = 0
+    """How often the autopilot has started anew since it was first heard (SYSTEM_TIME)."""
 
     def age_s(self, now_s: float) -> float:
         """How old the position and attitude are; inf if they never came."""
@@ -97,6 +111,27 @@ class Health:
 
 
 T = TypeVar("T")
+
+
+class Arrivals:
+    """When the last of one kind of message arrived: how many come in a second. One thread writes, another reads."""
+
+    __slots__ = ("_times_s",)
+
+    def __init__(self) -> None:
+        self._times_s: deque[float] = deque(maxlen=256)
+
+    def put(self, at_s: float) -> None:
+        """One more has arrived."""
+        self._times_s.append(at_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Over the last RATE_S; NaN where less than half of that time has been heard of."""
+        times_s = tuple(self._times_s)
+        recent = [t for t in times_s if now_s - t <= RATE_S]
+        if len(recent) < 2 or (recent[-1] - times_s[0] < 0.5 * RATE_S):
+            return math.nan
+        return (len(recent) - 1) / (now_s - recent[0])
 
 
 class Slot(Generic[T]):
@@ -153,13 +188,17 @@ class Slots:
         self.health: Slot[Health] = Slot()
         self.battery: Slot[float] = Slot()
         self.rc_present: Slot[bool] = Slot()
+        self.home: Slot[Geodetic] = Slot()
+        self.ground_distance_m: Slot[float] = Slot()
+        self.restarts: Slot[int] = Slot()
+        self.positions = Arrivals()
 
     def snapshot(self, now_s: float) -> Telemetry:
         """All of it as one value; what is too old is unknown. Positions stay: the caller judges their age."""
         held = self.local.value
         health = self.health.fresh(now_s, MODE_AGE_S)
         failing = NO_HEALTH if health is None else health.failing
-        every: tuple[Slot[object], ...] = tuple(vars(self).values())
+        every = [slot for slot in vars(self).values() if isinstance(slot, Slot)]
         return Telemetry(
             at_s=min(self.local.at_s, self.geodetic.at_s, self.yaw_deg.at_s),
             heard_at_s=max(slot.at_s for slot in every),
@@ -178,13 +217,22 @@ class Slots:
             unhealthy=failing,
             battery=self.battery.fresh(now_s, BATTERY_AGE_S),
             rc_present=self.rc_present.fresh(now_s, MODE_AGE_S),
+            rate_hz=self.positions.rate_hz(now_s),
+            home=self.home.value,
+            ground_distance_m=self.ground_distance_m.fresh(now_s, DISTANCE_AGE_S),
+            restarts=self.restarts.value or 0,
         )
 
     def _sigma_m(self, now_s: float, axis: str) -> float:
-        """The worst that a fresh source states, NaN if none does."""
+        """What the estimator states, whose position it is, or else the receiver of its raw fixes. NaN: nobody.
+
+        A receiver that has lost its fix is believed before an estimator that has not noticed: it dead-reckons for seconds,
+        and states centimetres.
+        """
         fresh = (slot.fresh(now_s, ACCURACY_AGE_S) for slot in (self.estimator, self.receiver))
         stated = [getattr(accuracy, axis) for accuracy in fresh if accuracy is not None]
-        return max((sigma for sigma in stated if math.isfinite(sigma) and sigma > 0), default=math.nan)
+        believed = [float(sigma) for sigma in stated if math.isfinite(sigma) and sigma > 0]
+        return max(believed) if any(sigma >= LOST_FIX_M for sigma in believed) else next(iter(believed), math.nan)
 
 
 def _or_nan(value: float | None) -> float:

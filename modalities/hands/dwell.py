@@ -37,7 +37,7 @@ class Held:
     text: str
 
 
-class Hold:
+class DwellFilter:
     """Readings in, a held gesture out, once per hold."""
 
     def __init__(self, hold_s: float = HOLD_S) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from modalities.hands.dwell import HOLD_S, Hold
+from modalities.hands.dwell import HOLD_S, DwellFilter
 from modalities.hands.gestures import read_hands
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import Frame, Picture, VideoFile
@@ -58,7 +58,7 @@ def evaluate_hands(
         for done, (name, path) in enumerate(recordings):
             progress(done, len(recordings))
             detector.forget()
-            answers, hand_seen = watch(frames_of(path, hold_s), detector, Hold(hold_s), mirrored=mirrored)
+            answers, hand_seen = watch(frames_of(path, hold_s), detector, DwellFilter(hold_s), mirrored=mirrored)
             if hand_seen:
                 trials.append(Trial(name, expected_of(name), answers))
             else:
@@ -85,7 +85,7 @@ def frames_of(path: Path, hold_s: float = HOLD_S) -> Iterator[Frame]:
 
 
 def watch(
-    frames: Iterable[Frame], detector: HandDetector, hold: Hold, *, mirrored: bool = False
+    frames: Iterable[Frame], detector: HandDetector, hold: DwellFilter, *, mirrored: bool = False
 ) -> tuple[tuple[Answer, ...], bool]:
     """Everything held in one recording, as if it were being captured: a frame cannot be looked at before the detector is done
     with the one before. And whether there was a hand in any frame.

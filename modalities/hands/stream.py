@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
 
-from modalities.hands.dwell import Held, Hold
+from modalities.hands.dwell import DwellFilter, Held
 from modalities.hands.gestures import Hand, read_hands
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import Clock, VideoSource
@@ -33,7 +33,7 @@ class HandStream:
         on_seen: Callable[[str], None] = lambda _text: None,
         on_hands: Callable[[Sequence[Hand]], None] = lambda _hands: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
-        hold: Hold | None = None,
+        hold: DwellFilter | None = None,
         mirrored: bool = False,
     ) -> None:
         """clock: the app's monotonic seconds, which the source stamps its pictures with. on_seen: what is seen now, whenever
@@ -47,7 +47,7 @@ class HandStream:
         self._on_seen = on_seen
         self._on_hands = on_hands
         self._on_end = on_end
-        self._hold = Hold() if hold is None else hold
+        self._hold = DwellFilter() if hold is None else hold
         self._mirrored = mirrored
         self._stopping = threading.Event()
         self._made = 0

@@ -19,7 +19,7 @@ AGREEING = 2
 """Successive looks that must find it: one alone is found in 4 % of our own cues, two in 1 % or less."""
 
 
-class StopThrough:
+class BargeIn:
     """Looks for *stop* in the last WINDOW_S of what is heard."""
 
     def __init__(self, finds: Callable[[Samples], bool]) -> None:

@@ -17,9 +17,9 @@ import vosk
 
 from modalities.models.catalogue import ModelError
 from modalities.voice.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, quiet
-from modalities.voice.barge_in import StopThrough
+from modalities.voice.barge_in import BargeIn
 from modalities.voice.phrases import OTHER_WORDS, STOP_RIVALS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
-from modalities.voice.vad import VoiceEnd
+from modalities.voice.vad import VoiceActivityDetector
 from safety.vocabulary import Command
 
 CLOSE_AFTER_S = 0.3
@@ -71,7 +71,7 @@ class Heard:
     began_at_s: float = -math.inf
 
 
-class Ear:
+class Decoder:
     """One VOSK recogniser over one grammar."""
 
     def __init__(self, model: vosk.Model, grammar: tuple[str, ...]) -> None:
@@ -135,11 +135,11 @@ class Recognizer:
         single = tuple(word for word in (*table.words, *OTHER_WORDS) if known[word] and word not in phrases)
         self._table = table
         rivals = tuple(word for word in STOP_RIVALS if known[word])
-        self._commands = Ear(model, (*phrases, *rivals, *unknown))
-        self._apart = Ear(model, (*phrases, *rivals, *unknown))
-        self._stop_through = StopThrough(self._stop_apart)
-        self._words = Ear(model, (*phrases, *single, *unknown))
-        self._voice = VoiceEnd()
+        self._commands = Decoder(model, (*phrases, *rivals, *unknown))
+        self._apart = Decoder(model, (*phrases, *rivals, *unknown))
+        self._barge_in = BargeIn(self._stop_apart)
+        self._words = Decoder(model, (*phrases, *single, *unknown))
+        self._voice = VoiceActivityDetector()
         self._hole_s = -math.inf
         self._began_s: float
         self._fresh: bool
@@ -153,10 +153,10 @@ class Recognizer:
         """What the current utterance has been so far, for the operator to see."""
         return self._words.partial
 
-    def accept(self, chunk: Chunk, *, own_voice: bool = False) -> list[Heard]:
+    def accept(self, chunk: Chunk, *, self_speech: bool = False) -> list[Heard]:
         """Take the next chunk (16 kHz mono 16-bit); the request candidates that it completes, usually none.
 
-        own_voice: the app itself is speaking, through which STOP must be heard.
+        self_speech: the app itself is speaking, through which STOP must be heard.
         """
         now_s = chunk.captured_at_s
         before = self._commands.partial
@@ -169,7 +169,7 @@ class Recognizer:
             self._changed_s = now_s
         if not math.isfinite(self._began_s) and (self._voice.has_spoken or self.partial):
             self._began_s = now_s
-        heard = [self._stop(now_s)] if self._stop_stands() or self._comes_through(chunk, own_voice) else []
+        heard = [self._stop(now_s)] if self._stop_stands() or self._comes_through(chunk, self_speech) else []
         if self._is_over(now_s):
             heard += self._close(now_s)
         return heard
@@ -225,12 +225,12 @@ class Recognizer:
         words = self._words.partial.split()
         return STOP_WORD in words or len(words) <= partial.index(STOP_WORD)
 
-    def _comes_through(self, chunk: Chunk, own_voice: bool) -> bool:
+    def _comes_through(self, chunk: Chunk, self_speech: bool) -> bool:
         """STOP, said while the app speaks."""
-        if not own_voice or self._stopped:
-            self._stop_through.forget()
+        if not self_speech or self._stopped:
+            self._barge_in.forget()
             return False
-        return self._stop_through.accept(chunk.samples)
+        return self._barge_in.accept(chunk.samples)
 
     def _stop_apart(self, samples: Samples) -> bool:
         heard = np.concatenate([quiet(LEAD_IN_S), samples])

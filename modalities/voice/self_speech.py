@@ -12,7 +12,7 @@ KEPT = 64
 """Older utterances than this many are of no use: no voice is that long."""
 
 
-class OwnVoice:
+class SelfSpeech:
     """The times during which something is being spoken, on the app's monotonic clock. Any thread.
 
     Whoever speaks calls `begins` and `ends`; whoever listens asks `overlaps`.
@@ -37,7 +37,7 @@ class OwnVoice:
                 self._since_s = None
 
     def overlaps(self, from_s: float, to_s: float) -> bool:
-        """Whether something was being spoken at any time from from_s to to_s. A time that is no number overlaps all."""
+        """Whether something was being spoken at any time from from_s to to_s. A time that is not finite overlaps all."""
         with self._lock:
             spoken = [*self._spoken] if self._since_s is None else [*self._spoken, (self._since_s, math.inf)]
         return any(not (until_s < from_s or to_s < since_s) for since_s, until_s in spoken)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from modalities.voice.audio import Chunk, Gap
 from modalities.voice.capture import level_dbfs
 from modalities.voice.decoder import Heard, Recognizer
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 Clock = Callable[[], float]
@@ -32,14 +32,14 @@ class VoiceStream:
         on_partial: Callable[[str], None] = lambda _text: None,
         on_level: Callable[[float], None] = lambda _level_dbfs: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
-        own_voice: OwnVoice | None = None,
+        self_speech: SelfSpeech | None = None,
         on_dropped: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change.
         on_level: how loud each chunk is, in dB below full scale. on_end: called last,
         once, with the error that ended the stream, or None where the recording was played or `stop` was called.
 
-        own_voice: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
+        self_speech: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
         to on_dropped.
         """
         self._chunks = chunks
@@ -50,7 +50,7 @@ class VoiceStream:
         self._on_partial = on_partial
         self._on_level = on_level
         self._on_end = on_end
-        self._own_voice = own_voice
+        self._self_speech = self_speech
         self._on_dropped = on_dropped
         self._stopping = threading.Event()
         self._made = 0
@@ -89,7 +89,7 @@ class VoiceStream:
                 self._recognizer.gap(chunk)
             else:
                 self._on_level(level_dbfs(chunk.samples))
-                self._hand_over(self._recognizer.accept(chunk, own_voice=self._speaks(heard_s, heard_s)))
+                self._hand_over(self._recognizer.accept(chunk, self_speech=self._speaks(heard_s, heard_s)))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial
                 self._on_partial(partial)
@@ -121,5 +121,5 @@ class VoiceStream:
 
     def _speaks(self, from_s: float, to_s: float) -> bool:
         """Whether the app itself spoke then, in the chunks' time."""
-        own = self._own_voice
+        own = self._self_speech
         return own is not None and own.overlaps(self._began_s + from_s, self._began_s + to_s)

@@ -24,7 +24,7 @@ FLOOR_RISE_DB_S = 6.0
 SMOOTH_FRAMES = 3
 
 
-class VoiceEnd:
+class VoiceActivityDetector:
     """Follows a signal and knows when the last voice in it ended. Times are those of the recording."""
 
     def __init__(self) -> None:

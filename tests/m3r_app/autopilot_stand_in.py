@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import struct
 import threading
 import time
@@ -43,6 +44,17 @@ class StandIn:
     """Command numbers that are denied, and the status text sent with the denial."""
     deny_first_offboards: int = 0
     rc_present: bool = False
+    landed_unknown: bool = False
+    """It does not say whether it stands (MAV_LANDED_STATE_UNDEFINED)."""
+    gimbal: int | None = None
+    """A gimbal beside it sends heartbeats that claim to be this kind of autopilot."""
+    loss: float = 0.0
+    """Share of the messages that are lost, each way."""
+    every: int = 1
+    """Only every so manieth position is sent."""
+    rangefinder_m: float | None = None
+    boots: int = 0
+    """How often it has started anew."""
     setpoints: list[tuple[float, float, float, float, int]] = field(default_factory=list)
     """north, east, down, yaw (deg), type mask"""
     mode_commands: list[int] = field(default_factory=list)
@@ -54,6 +66,10 @@ class StandIn:
             f"udpout:127.0.0.1:{self.port}", source_system=self.system_id, source_component=1
         )
         self._mav = self._link.mav
+        self.parameters = {"SYS_AUTOSTART": 4001, **self.parameters}  # every PX4 has it
+        self._random = random.Random(self.port)
+        self._booted_ms = 100_000
+        self._seen_boots = self.boots
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -78,9 +94,9 @@ class StandIn:
         next_s = time.monotonic()
         while not self._stop.is_set():
             while (message := self._link.recv_msg()) is not None:
-                if not self.silent:
+                if not self.silent and self._random.random() >= self.loss:
                     self._receive(message)
-            if not self.silent:
+            if not self.silent and self._random.random() >= self.loss:
                 self._send(tick)
             tick += 1
             next_s += 0.02
@@ -89,6 +105,19 @@ class StandIn:
     def _send(self, tick: int) -> None:
         ms = tick * 20
         mav = self._mav
+        self._booted_ms += 20
+        if self.boots != self._seen_boots:
+            self._seen_boots, self._booted_ms = self.boots, 0
+        if tick % 10 == 3:
+            mav.system_time_send(0, self._booted_ms)
+            if self.rangefinder_m is not None:
+                centimetres = round(100.0 * self.rangefinder_m)
+                mav.distance_sensor_send(ms, 20, 4000, centimetres, 0, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 255)
+        if self.gimbal is not None and tick % 10 == 7:
+            own = mav.srcComponent
+            mav.srcComponent = mavlink.MAV_COMP_ID_GIMBAL
+            mav.heartbeat_send(mavlink.MAV_TYPE_GIMBAL, self.gimbal, 0, 0, 4)
+            mav.srcComponent = own
         if tick % 10 == 5:  # more often than PX4, to be found sooner
             base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
             mav.heartbeat_send(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base, self.mode, 4)
@@ -99,7 +128,7 @@ class StandIn:
             healthy = sensors if self.healthy else sensors & ~4
             present = sensors | (65536 if self.rc_present else 0)
             mav.sys_status_send(present, present, healthy, 100, 16000, 100, 73, 0, 0, 0, 0, 0, 0)
-            mav.extended_sys_state_send(0, 1 if self.landed else 2)
+            mav.extended_sys_state_send(0, 0 if self.landed_unknown else 1 if self.landed else 2)
             horizontal_m, vertical_m = self.estimator_m
             mav.estimator_status_send(ms * 1000, 831, 0, 0, 0, 0, 0, 0, horizontal_m, vertical_m)
             mav.gps_raw_int_send(
@@ -107,6 +136,8 @@ class StandIn:
                 alt_ellipsoid=510000, h_acc=int(self.gps_m[0] * 1000), v_acc=int(self.gps_m[1] * 1000),
                 vel_acc=100, hdg_acc=0, yaw=0,
             )  # fmt: skip
+        if tick % self.every:
+            return
         mav.global_position_int_send(
             ms, 470000000, 80000000, int(1000 * (500 - self.down_m)), int(-1000 * self.down_m), 0, 0, 0, 0
         )
@@ -134,7 +165,7 @@ class StandIn:
                 self.north_m, self.east_m, self.down_m = message.x, message.y, message.z
 
     def _tell_parameter(self, name: str) -> None:
-        if name not in self.parameters:
+        if name not in self.parameters or self._random.random() < self.loss:
             return
         value = self.parameters[name]
         kind = mavlink.MAV_PARAM_TYPE_REAL32
@@ -163,4 +194,6 @@ class StandIn:
             self.mode, self.landed, self.down_m = HOLD, False, self.down_m - float(self.parameters["MIS_TAKEOFF_ALT"])
         elif number != mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = mavlink.MAV_RESULT_UNSUPPORTED
+        if self._random.random() < self.loss:
+            return
         self._mav.command_ack_send(number, result, 0, 0, message.get_srcSystem(), message.get_srcComponent())

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from m3r_app.arbiter.step import step
-from m3r_app.events import (
+from m3r_app.arbiter.events import (
     Announce,
     ArbiterState,
     Effect,
@@ -33,7 +32,8 @@ from m3r_app.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.modes import MODE_OF, TRANSITIONS, State
+from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, State
+from m3r_app.arbiter.step import step
 from safety.frames import wrap_deg
 from safety.limits import Limits
 from safety.obstacles import Obstacles
@@ -244,9 +244,14 @@ class Tabletop:
 def check_step(before: ArbiterState, event: Event, after: ArbiterState, effects: tuple[Effect, ...]) -> None:
     """What holds of every single step."""
     state = before.state
+    if state is State.EMERGENCY_HOLD and after.state in (State.ARMED, State.SETTLING):
+        raise AssertionError("EmergencyHold is left by an approval, or by the end of the session")
     for fields in (e.fields for e in effects if isinstance(e, Report) and e.event == "mode"):
         assert fields["previous"] is MODE_OF[state], "mode reports follow one another"
-        assert TRANSITIONS[(state, fields["cause"])] is fields["state"], "every transition is the table's"
+        assert fields["state"] in (
+            TRANSITIONS.get((state, fields["cause"])),
+            WHILE_HELD.get((state, fields["cause"])),
+        ), "every transition is the tables'"
         assert fields["mode"] is MODE_OF[fields["state"]]
         state = fields["state"]
     assert state is after.state, "no state changes untold"

@@ -12,8 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from m3r_app.arbiter.step import step
-from m3r_app.events import (
+from m3r_app.arbiter.events import (
     ArbiterState,
     ClaimLost,
     Ended,
@@ -30,11 +29,13 @@ from m3r_app.events import (
     Report,
     Requested,
     ReservationAnswered,
+    Reserve,
     Stalled,
     TelemetryArrived,
     Tick,
 )
-from m3r_app.modes import State
+from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.step import step
 from safety.limits import Limits
 from safety.obstacles import Obstacles
 from safety.vocabulary import Command, Modality, Mode, Ned, Neighbours, Primitive, ReservedVolume
@@ -139,7 +140,7 @@ def every_event(table: Tabletop) -> list[Any]:
         for colour in ("red", "blue", None)
     ]
     old = [Requested(table.request(c, ago_s=ago_s), 0.0) for c in Command for ago_s in (60.0, nan, -60.0)]
-    current = table.state.deciding.request.id if table.state.deciding else "r1"
+    current = (table.state.deciding.ask_id if table.state.deciding else None) or "r1"
     flown = table.state.flight.request_id if table.state.flight else "nobody"
     answers = [
         ReservationAnswered(request_id, answer)
@@ -208,6 +209,7 @@ def test_ended_leaves_in_hold(state: State) -> None:
         assert table.state.state is State.IDLE
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize("state", list(MADE))
 def test_a_claim_that_is_lost_ends_the_session_in_hold(state: State) -> None:
     """X3: somebody else may have the drone by now, so nothing of ours goes on."""
@@ -249,6 +251,7 @@ STEPS = st.one_of(
 )
 
 
+@pytest.mark.requirement("P1", "X4", "X10")
 @settings(max_examples=60)
 @given(st.lists(STEPS, max_size=25), st.sampled_from(["auto", "ask", "never"]), st.sampled_from(["off", "offer"]))
 def test_any_sequence(script: list[Any], back: Any, offer: Any) -> None:
@@ -326,6 +329,7 @@ def stops_hold_still(table: Tabletop) -> None:
 # ---------------------------------------------------------------- pairing: P1, X8
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_armed_only_after_pairing() -> None:
     """P1: the drone turns to the operator and rests, then Armed, and its place is anchor and session centre."""
     table = facing()
@@ -341,6 +345,7 @@ def test_armed_only_after_pairing() -> None:
     assert [p["status"] for p in table.reports("pair")] == ["confirmed"]
 
 
+@pytest.mark.requirement("P1", "X8")
 @pytest.mark.parametrize("command", [c for c in Command if c not in MOVING])
 def test_unpaired_requests_are_rejected(command: Command) -> None:
     table = Tabletop()
@@ -350,6 +355,7 @@ def test_unpaired_requests_are_rejected(command: Command) -> None:
     assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_a_refused_pairing_says_why_and_takes_no_authority() -> None:
     table = Tabletop()
     table.pairing_reasons = ("it is on the ground", "it is not healthy")
@@ -360,6 +366,7 @@ def test_a_refused_pairing_says_why_and_takes_no_authority() -> None:
     assert not table.effects(LetGo)
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_pairing_without_operator_or_telemetry_is_refused() -> None:
     table = Tabletop()
     table.ask(Command.ACTIVATE)  # nothing was ever heard from it
@@ -370,8 +377,9 @@ def test_pairing_without_operator_or_telemetry_is_refused() -> None:
     assert table.state.session is None
 
 
+@pytest.mark.requirement("X6", "P1", "X8")
 def test_not_a_number_is_not_paired() -> None:
-    """X6: a yaw, place or velocity that is no number is not facing the operator at rest."""
+    """X6: a yaw, place or velocity that is not finite is not facing the operator at rest."""
     good = {"yaw_deg": 180.0}
     for bad in ({"yaw_deg": math.nan}, {"position": Ned(math.nan, 0.0, 0.0)}, {"velocity": Ned(math.nan, 0.0, 0.0)}):
         table = facing()
@@ -384,6 +392,7 @@ def test_not_a_number_is_not_paired() -> None:
         assert table.reports("pair")[-1]["status"] == "refused"
 
 
+@pytest.mark.requirement("X4", "P1", "X8")
 @pytest.mark.parametrize("made", [pairing, facing])
 @pytest.mark.parametrize("command", [Command.STOP, Command.DISCONNECT])
 def test_stop_or_disconnect_while_pairing_ends_it_unmoved(made: Callable[[], Tabletop], command: Command) -> None:
@@ -399,12 +408,14 @@ def test_stop_or_disconnect_while_pairing_ends_it_unmoved(made: Callable[[], Tab
     assert table.reports("pair")[-1]["status"] == "refused"
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_the_answer_for_another_drone_is_nobodys() -> None:
     table = pairing()
     table.put(PairingAnswered("blue", (), table.operator, FLAT))
     assert table.state.state is State.PAIRING
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_activate_while_paired() -> None:
     table = Tabletop().paired()
     table.ask(Command.ACTIVATE, colour="blue")
@@ -417,6 +428,7 @@ def test_activate_while_paired() -> None:
     assert len(table.effects(Pair)) == 1
 
 
+@pytest.mark.requirement("R11", "X6", "P1", "X8")
 def test_doubtful_activate_and_disconnect_do_nothing() -> None:
     """R11, X6: pairing needs confidence as a move does, and so does what may resume a mission."""
     table = Tabletop()
@@ -429,6 +441,7 @@ def test_doubtful_activate_and_disconnect_do_nothing() -> None:
     assert "not disconnected" in table.said()[-1]
 
 
+@pytest.mark.requirement("P1", "X8")
 def test_disconnect_holds_and_lets_go() -> None:
     table = flying(policy=Policy(on_disconnect="resume"))
     table.ask(Command.DISCONNECT, colour="blue")
@@ -445,6 +458,7 @@ def test_disconnect_holds_and_lets_go() -> None:
 # ---------------------------------------------------------------- confidence: R11, P2, G1
 
 
+@pytest.mark.requirement("R11", "P2", "G1")
 def test_low_confidence_is_blocked_next() -> None:
     """The paper's STL property: detected with low confidence, next state Blocked; one step later Armed."""
     table = blocked()
@@ -456,6 +470,7 @@ def test_low_confidence_is_blocked_next() -> None:
     assert table.decisions()[-1]["requested_m"] == 1.0
 
 
+@pytest.mark.requirement("R11", "P2", "G1")
 def test_low_confidence_while_executing_holds_then_blocks() -> None:
     table = flying()
     flown = len(table.effects(Fly))
@@ -466,6 +481,7 @@ def test_low_confidence_while_executing_holds_then_blocks() -> None:
     assert len(table.effects(Fly)) == flown
 
 
+@pytest.mark.requirement("X6", "R11", "P2", "G1")
 @pytest.mark.parametrize("ago_s", [5.1, 60.0, -6.0, math.nan])
 def test_what_was_asked_long_ago_is_refused(ago_s: float) -> None:
     """X6: a stale request is no request of now, and does not disturb what is flown."""
@@ -478,6 +494,7 @@ def test_what_was_asked_long_ago_is_refused(ago_s: float) -> None:
 # ---------------------------------------------------------------- STOP and CONTINUE: X4, X12
 
 
+@pytest.mark.requirement("X4", "X12")
 def test_what_was_asked_before_stop_does_not_fly_after_it() -> None:
     table = Tabletop().paired().wait(2.0)
     table.ask(Command.STOP, PANEL)
@@ -488,6 +505,7 @@ def test_what_was_asked_before_stop_does_not_fly_after_it() -> None:
     assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X4", "X12")
 def test_a_refused_request_is_not_confirmed_after_stop() -> None:
     table = Tabletop().paired()
     table.ask(Command.GO_LEFT, VOICE, 0.5)
@@ -499,6 +517,7 @@ def test_a_refused_request_is_not_confirmed_after_stop() -> None:
     assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X4", "X12")
 def test_stop_in_every_wait_rejects_what_waited() -> None:
     for made in (delayed, waiting):
         table = made()
@@ -509,6 +528,7 @@ def test_stop_in_every_wait_rejects_what_waited() -> None:
         assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X4", "X12")
 def test_stop_anchors_where_motion_has_stopped_and_continue_flies_the_rest_once() -> None:
     table = flying()
     moved_m = abs(table.position.east)
@@ -528,6 +548,7 @@ def test_stop_anchors_where_motion_has_stopped_and_continue_flies_the_rest_once(
     assert table.verdicts(again) == ["rejected"], "it has been flown"
 
 
+@pytest.mark.requirement("X12", "X4")
 @pytest.mark.parametrize("spoil", ["another", "late", "refused"])
 def test_continue_is_refused(spoil: str) -> None:
     """X12: nothing left, another request since, or more than 30 s."""
@@ -546,6 +567,7 @@ def test_continue_is_refused(spoil: str) -> None:
     assert table.said()[-1].startswith("Red: cannot continue, ")
 
 
+@pytest.mark.requirement("X9", "X4", "X12")
 def test_a_stopped_turn_continues_to_the_operators_bearing() -> None:
     """X9."""
     table = flying(Command.TURN_LEFT)
@@ -564,6 +586,7 @@ def test_a_stopped_turn_continues_to_the_operators_bearing() -> None:
 # ---------------------------------------------------------------- fusion: X5
 
 
+@pytest.mark.requirement("X5")
 def test_a_second_modality_confirms_and_never_flies_twice() -> None:
     table = Tabletop().paired()
     first = table.ask(Command.GO_LEFT, VOICE)
@@ -576,29 +599,84 @@ def test_a_second_modality_confirms_and_never_flies_twice() -> None:
     assert table.verdicts(first) == ["approved"]
 
 
-def test_two_doubtful_ones_make_one_sure_one() -> None:
+@pytest.mark.requirement("X5")
+@pytest.mark.parametrize(("first", "second"), [(0.5, 0.6), (0.69, 0.69), (0.1, 0.65)])
+def test_two_doubtful_ones_make_no_sure_one(first: float, second: float) -> None:
+    """Nothing measured says that they would be independent: what is refused alone is refused together."""
     table = Tabletop().paired()
-    first = table.ask(Command.GO_LEFT, VOICE, 0.5)
+    names = [table.ask(Command.GO_LEFT, VOICE, first)]
     table.tick()
-    second = table.ask(Command.GO_LEFT, GESTURE, 0.6)
-    assert table.verdicts(first) == ["rejected"]
-    assert table.verdicts(second) == ["approved"]
+    names.append(table.ask(Command.GO_LEFT, GESTURE, second))
+    table.wait(3.0)
+    assert [table.verdicts(name) for name in names] == [["rejected"], ["rejected"]]
+    assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X5")
+def test_two_doubtful_ones_that_wait_for_rest_make_no_sure_one_either() -> None:
+    table = flying(Command.GO_RIGHT)
+    names = [table.ask(Command.GO_LEFT, VOICE, 0.5), table.ask(Command.GO_LEFT, GESTURE, 0.6)]
+    table.wait(4.0)
+    assert [table.verdicts(name)[-1] for name in names] == ["rejected", "rejected"]
+    assert len(table.effects(Fly)) == 1
+
+
+@pytest.mark.requirement("X5")
+def test_a_sure_one_after_a_doubtful_one_is_judged_by_itself() -> None:
+    for doubtful, sure in ((0.1, 0.7), (0.69, 0.95)):
+        table = Tabletop().paired()
+        first = table.ask(Command.GO_LEFT, VOICE, doubtful)
+        table.tick()
+        second = table.ask(Command.GO_LEFT, GESTURE, sure)
+        assert (table.verdicts(first), table.verdicts(second)) == (["rejected"], ["approved"])
+        assert table.reports("request")[-1]["modality"] is GESTURE
+
+
+@pytest.mark.requirement("X5")
+def test_a_doubtful_one_after_a_sure_one_neither_flies_twice_nor_lifts_it() -> None:
+    table = Tabletop().paired()
+    first = table.ask(Command.GO_LEFT, VOICE, 0.75)
+    table.tick()
+    table.ask(Command.GO_LEFT, GESTURE, 0.2)
+    table.wait(8.0)
+    assert len(table.effects(Fly)) == 1
+    assert table.reports("request")[-1]["id"] == first
+    assert table.reports("request")[-1]["confidence"] == 0.75
+
+
+@pytest.mark.requirement("X5")
 def test_what_waits_for_rest_is_confirmed_in_place() -> None:
     table = flying(Command.GO_RIGHT)
-    first = table.ask(Command.GO_LEFT, VOICE, 0.5)
-    table.ask(Command.GO_LEFT, GESTURE, 0.6)
+    first = table.ask(Command.GO_LEFT, VOICE, 0.75)
+    table.ask(Command.GO_LEFT, GESTURE, 0.8)
     table.until(State.EXECUTING, 3.0)
     assert table.verdicts(first) == ["approved"]
 
 
+@pytest.mark.requirement("X5")
+@pytest.mark.parametrize("ago_s", [math.nan, math.inf, -math.inf, -0.6, -3.0, -60.0, 5.1, 1e9])
+@pytest.mark.parametrize("command", [Command.GO_UP, Command.GO_LEFT, Command.CONTINUE, Command.TURN_LEFT])
+def test_what_was_not_asked_now_changes_nothing(ago_s: float, command: Command) -> None:
+    """Neither what is flown nor what fusion remembers: a duplicate after it still flies once."""
+    table = Tabletop().paired()
+    table.ask(Command.GO_LEFT, VOICE)
+    table.tick()
+    before = table.state
+    odd = table.ask(command, PANEL, ago_s=ago_s)
+    assert table.verdicts(odd) == ["rejected"]
+    assert replace(table.state, tally=before.tally) == before
+    table.ask(Command.GO_LEFT, GESTURE)
+    table.wait(8.0)
+    assert len(table.effects(Fly)) == 1
+
+
+@pytest.mark.requirement("X5")
 @pytest.mark.parametrize("made", [flying, delayed, waiting])
 def test_contradiction_aborts_and_refuses_both(made: Callable[[], Tabletop]) -> None:
     table = made()
     last = table.state.recent[-1].request
     first = last.id
-    ago_s = table.now_s - last.captured_at_s - 0.9
+    ago_s = max(table.now_s - last.captured_at_s - 0.9, 0.0)
     second = table.ask(Command.GO_UP, GESTURE, ago_s=ago_s)
     assert table.failing(second) == {"contradiction"}
     assert table.state.mode is Mode.ARMED
@@ -612,6 +690,7 @@ def test_contradiction_aborts_and_refuses_both(made: Callable[[], Tabletop]) -> 
     assert table.state.state is State.ARMED
 
 
+@pytest.mark.requirement("X5")
 def test_a_contradicted_way_back_ends() -> None:
     """Design 6, 14: what runs is aborted, even if it is the way back that was asked for."""
     table = held(policy=ASK)
@@ -623,6 +702,7 @@ def test_a_contradicted_way_back_ends() -> None:
     table.until(State.ARMED, 3.0)
 
 
+@pytest.mark.requirement("X5")
 def test_a_later_change_of_mind_is_no_contradiction() -> None:
     table = flying()  # 1.5 s ago
     request_id = table.ask(Command.GO_UP, GESTURE)
@@ -633,6 +713,7 @@ def test_a_later_change_of_mind_is_no_contradiction() -> None:
 # ---------------------------------------------------------------- interruption: X14
 
 
+@pytest.mark.requirement("X14")
 def test_a_new_request_interrupts_and_the_newest_wins() -> None:
     table = flying()
     second = table.ask(Command.GO_UP)
@@ -647,6 +728,7 @@ def test_a_new_request_interrupts_and_the_newest_wins() -> None:
     assert session.anchor.position.minus(PLACE).norm > 0.1, "re-anchored where motion stopped"
 
 
+@pytest.mark.requirement("X14")
 def test_a_request_does_not_wait_for_rest_for_ever() -> None:
     """Every request gets its decision: here the drone never comes to rest."""
     table = flying()
@@ -661,6 +743,7 @@ def test_a_request_does_not_wait_for_rest_for_ever() -> None:
 # ---------------------------------------------------------------- delay, reservation, revalidation: X10
 
 
+@pytest.mark.requirement("X10")
 def test_delayed_then_flown_as_soon_as_it_clears() -> None:
     table = delayed()
     request_id = table.decisions()[-1]["request"]
@@ -671,6 +754,7 @@ def test_delayed_then_flown_as_soon_as_it_clears() -> None:
     assert table.now_s - started_s < 1.5, "not only at the deadline"
 
 
+@pytest.mark.requirement("X10")
 def test_delayed_and_still_hindered_is_rejected_at_the_deadline() -> None:
     table = delayed()
     request_id = table.decisions()[-1]["request"]
@@ -683,6 +767,7 @@ def test_delayed_and_still_hindered_is_rejected_at_the_deadline() -> None:
     assert table.failing(request_id) == {"reservation"}
 
 
+@pytest.mark.requirement("X10")
 @pytest.mark.parametrize("answer", ["denied", "expired"])
 def test_a_denied_volume_blocks_with_all_findings(answer: Any) -> None:
     table = Tabletop().paired()
@@ -694,6 +779,7 @@ def test_a_denied_volume_blocks_with_all_findings(answer: Any) -> None:
     assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X10")
 def test_no_answer_is_no_and_a_late_grant_is_given_back() -> None:
     table = waiting()
     table.until(lambda: State.BLOCKED in table.states(), 1.5)
@@ -705,27 +791,29 @@ def test_no_answer_is_no_and_a_late_grant_is_given_back() -> None:
     assert not table.effects(Fly)
 
 
+@pytest.mark.requirement("X10")
 def test_a_grant_is_refused_if_the_situation_got_worse() -> None:
     table = waiting()
-    request_id = next(iter(table.reserved))
+    ask_id = next(iter(table.reserved))
     table.sky = ball("blue", table.position.plus(Ned(0.0, -4.0, 0.0)), Ned(0.0, 0.0, 0.0), table.now_s)
     table.neighbours()
-    table.put(ReservationAnswered(request_id, "granted"))
-    assert table.failing(request_id) == {"separation"}
+    table.put(ReservationAnswered(ask_id, "granted"))
+    assert table.failing(table.decisions()[-1]["request"]) == {"separation"}
     assert table.states()[-1] is State.BLOCKED
     assert table.log[-1] is not Fly
-    assert Release(request_id) in table.log
+    assert Release(ask_id) in table.log
 
 
+@pytest.mark.requirement("X10")
 def test_a_grant_is_refused_if_the_drone_has_drifted_from_the_start() -> None:
     table = waiting()
-    request_id = next(iter(table.reserved))
     table.position = table.position.plus(Ned(0.0, 0.5, 0.0))
     table.tell()
-    table.put(ReservationAnswered(request_id, "granted"))
-    assert table.failing(request_id) == {"envelope"}
+    table.put(ReservationAnswered(next(iter(table.reserved)), "granted"))
+    assert table.failing(table.decisions()[-1]["request"]) == {"envelope"}
 
 
+@pytest.mark.requirement("X10")
 def test_a_volume_taken_back_in_flight_ends_the_flight_and_a_second_grant_does_not() -> None:
     table = flying()
     flight = table.state.flight
@@ -741,6 +829,7 @@ def test_a_volume_taken_back_in_flight_ends_the_flight_and_a_second_grant_does_n
 # ---------------------------------------------------------------- monitoring and the way back: R9, R10, design 14
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_an_approaching_aircraft_aborts_into_emergency_hold() -> None:
     table = held(policy=NEVER)
     assert Hold("violation") in table.log
@@ -754,6 +843,7 @@ def test_an_approaching_aircraft_aborts_into_emergency_hold() -> None:
     assert session.anchor.position == PLACE, "the anchor is kept"
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_the_way_back_is_announced_two_seconds_ahead_and_ends_at_the_anchor() -> None:
     table = held()
     table.until(lambda: any("returning to the anchor" in text for text in table.said()), 3.0)
@@ -766,6 +856,7 @@ def test_the_way_back_is_announced_two_seconds_ahead_and_ends_at_the_anchor() ->
     assert table.state.tally.completed == 0
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_ask_returns_only_when_told_to_continue() -> None:
     table = held(policy=ASK)
     table.wait(6.0)
@@ -779,6 +870,7 @@ def test_ask_returns_only_when_told_to_continue() -> None:
     assert table.position.minus(PLACE).norm < 0.15
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_never_stays_until_a_new_request() -> None:
     table = held(policy=NEVER)
     table.wait(8.0)
@@ -787,6 +879,7 @@ def test_never_stays_until_a_new_request() -> None:
     assert table.state.state is State.EXECUTING
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_stop_in_emergency_hold_cancels_the_way_back() -> None:
     table = held()
     table.wait(1.0)
@@ -796,6 +889,7 @@ def test_stop_in_emergency_hold_cancels_the_way_back() -> None:
     assert len(table.effects(Fly)) == 1
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_stop_and_requests_end_the_way_back() -> None:
     for command in (Command.STOP, Command.GO_UP):
         table = returning()
@@ -804,17 +898,142 @@ def test_stop_and_requests_end_the_way_back() -> None:
         assert table.state.flight is None
 
 
+@pytest.mark.requirement("R9", "R10")
 def test_a_request_cancels_a_way_back_that_waits_for_airspace() -> None:
-    """The grant that comes after a newer request flies nothing."""
+    """The grant that comes after a newer request flies nothing: not what was asked then, and not what is asked next."""
     table = held()
     table.grant = None
     table.until(lambda: table.state.deciding is not None, 6.0)
+    late = table.effects(Reserve)[-1].request_id
     table.ask(Command.GO_UP, confidence=0.1)
-    table.put(ReservationAnswered("return", "granted"))
-    table.wait(2.0)
+    table.put(ReservationAnswered(late, "granted"))
+    assert len(table.effects(Fly)) == 1
+    table.until(lambda: table.effects(Reserve)[-1].request_id != late, 6.0)
+    table.put(ReservationAnswered(late, "granted"))
+    assert len(table.effects(Fly)) == 1
+    assert Release(late) in table.log
+
+
+@pytest.mark.requirement("R9", "R10")
+@pytest.mark.parametrize("made", [waiting, flying, held])
+def test_nobody_elses_grant_flies(made: Callable[[], Tabletop]) -> None:
+    table = made()
+    flights = len(table.effects(Fly))
+    for name in ("r1", "r3", "return", "", "r2-1", "return-0", "return-9"):
+        if name not in table.reserved:
+            table.put(ReservationAnswered(name, "granted"))
+            assert Release(name) in table.log, "what nobody waits for is given back"
+    assert len(table.effects(Fly)) == flights
+
+
+@pytest.mark.requirement("R9", "R10")
+def test_every_ask_for_airspace_has_its_own_id() -> None:
+    table = held()
+    table.grant = "denied"
+    table.wait(20.0)
+    asks = [e.request_id for e in table.effects(Reserve)]
+    assert len(asks) == len(set(asks)) >= 3
+
+
+# ---------------------------------------------------------------- EmergencyHold is left by an approval alone: R10, design 14
+
+
+def refused_by_doubt(table: Tabletop) -> str:
+    return table.ask(Command.GO_LEFT, confidence=0.1)
+
+
+def refused_by_a_rule(table: Tabletop) -> str:
+    table.sky = ball("blue", table.position.plus(Ned(0.0, -4.0, 0.0)), Ned(0.0, 0.0, 0.0), table.now_s)
+    table.neighbours()
+    return table.ask(Command.GO_LEFT)
+
+
+def refused_by_the_authority(table: Tabletop) -> str:
+    table.grant = "denied"
+    name = table.ask(Command.GO_UP)
+    table.grant = "granted"
+    return name
+
+
+def refused_by_silence(table: Tabletop) -> str:
+    table.grant = None
+    name = table.ask(Command.GO_UP)
+    table.wait(1.2)
+    table.grant = "granted"
+    return name
+
+
+def refused_as_nothing_to_continue(table: Tabletop) -> str:
+    return table.ask(Command.CONTINUE)
+
+
+def refused_as_stale(table: Tabletop) -> str:
+    return table.ask(Command.GO_UP, ago_s=60.0)
+
+
+def refused_as_contradiction(table: Tabletop) -> str:
+    table.grant = None
+    table.ask(Command.GO_UP, VOICE)
+    name = table.ask(Command.GO_LEFT, GESTURE)
+    table.grant = "granted"
+    return name
+
+
+REFUSALS = [
+    refused_by_doubt,
+    refused_by_a_rule,
+    refused_by_the_authority,
+    refused_by_silence,
+    refused_as_nothing_to_continue,
+    refused_as_stale,
+]
+
+
+@pytest.mark.requirement("R10")
+@pytest.mark.parametrize("refuse", REFUSALS)
+def test_a_refused_request_stays_in_emergency_hold_and_keeps_the_way_back(refuse: Callable[[Tabletop], str]) -> None:
+    table = held().wait(1.0)
+    anchor = table.state.session.anchor if table.state.session else None
+    name = refuse(table)
+    table.tick()
+    assert table.verdicts(name) == ["rejected"]
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert table.state.session is not None and table.state.session.anchor is anchor
+    table.sky = Neighbours.none(math.inf)
+    table.until(State.RETURN_TO_ANCHOR, 10.0)
+
+
+@pytest.mark.requirement("R10")
+def test_a_contradiction_in_emergency_hold_stays_there_and_ends_the_way_back() -> None:
+    table = held().wait(1.0)
+    name = refused_as_contradiction(table)
+    table.wait(10.0)
+    assert table.verdicts(name) == ["rejected"]
+    assert table.state.state is State.EMERGENCY_HOLD
     assert len(table.effects(Fly)) == 1
 
 
+@pytest.mark.requirement("R10")
+def test_stop_while_a_request_is_decided_in_emergency_hold_stays_there() -> None:
+    table = held().wait(1.0)
+    table.grant = None
+    table.ask(Command.GO_UP)
+    table.ask(Command.STOP)
+    table.grant = "granted"
+    table.wait(10.0)
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert len(table.effects(Fly)) == 1
+
+
+@pytest.mark.requirement("R10")
+def test_dry_run_leaves_no_emergency_hold() -> None:
+    table = held().wait(1.0)
+    table.state = replace(table.state, policy=replace(table.state.policy, dry_run=True))
+    table.ask(Command.GO_UP)
+    assert table.state.state is State.EMERGENCY_HOLD
+
+
+@pytest.mark.requirement("X10", "R10")
 def test_a_way_back_without_airspace_is_announced_anew_later() -> None:
     """X10: denied, it stays where it is and says why; granted later, it flies."""
     table = held()
@@ -828,6 +1047,7 @@ def test_a_way_back_without_airspace_is_announced_anew_later() -> None:
     assert len([text for text in table.said() if "returning to the anchor in" in text]) == 2
 
 
+@pytest.mark.requirement("R10")
 def test_an_announced_way_back_waits_until_it_is_safe_again() -> None:
     """Somebody reserves the airspace between: the two seconds begin anew once it is free."""
     table = held()
@@ -843,6 +1063,7 @@ def test_an_announced_way_back_waits_until_it_is_safe_again() -> None:
     assert table.now_s - freed_s >= table.state.limits.return_after_s
 
 
+@pytest.mark.requirement("R10")
 def test_a_failed_way_back_is_not_tried_for_ever() -> None:
     table = returning()
     table.sky = ball("blue", table.position.plus(Ned(4.0, 0.0, 0.0)), Ned(-3.0, 0.0, 0.0), table.now_s)
@@ -852,6 +1073,7 @@ def test_a_failed_way_back_is_not_tried_for_ever() -> None:
     assert table.state.state is State.EMERGENCY_HOLD
 
 
+@pytest.mark.requirement("X6", "R10")
 def test_a_dead_feed_in_flight_aborts() -> None:
     """X6: neighbours that cannot be known cannot be kept apart from."""
     table = Tabletop()
@@ -867,6 +1089,7 @@ def test_a_dead_feed_in_flight_aborts() -> None:
 # ---------------------------------------------------------------- loss: X3, X7
 
 
+@pytest.mark.requirement("X3", "X7")
 @pytest.mark.parametrize("state", [s for s in MADE if s not in (State.IDLE, State.PAIRING)])
 @pytest.mark.parametrize("mode", ["POSCTL", "RETURN_TO_LAUNCH", "LAND"])
 def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
@@ -885,6 +1108,7 @@ def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
     assert not [e for e in table.log[mark:] if isinstance(e, Hold | Fly | FaceOperator | LetGo)]
 
 
+@pytest.mark.requirement("X3", "X6", "X7")
 @pytest.mark.parametrize("state", [s for s in MADE if s not in (State.IDLE, State.PAIRING)])
 def test_a_mode_that_is_not_told_any_more_is_held_and_let_go(state: State) -> None:
     """X3, X6: nobody is known to have taken over, so the drone is not left on the last setpoint."""
@@ -895,6 +1119,7 @@ def test_a_mode_that_is_not_told_any_more_is_held_and_let_go(state: State) -> No
     assert LetGo("hold") in effects
 
 
+@pytest.mark.requirement("X8", "X3", "X7")
 def test_an_unfit_drone_drops_the_plan_and_flies_no_other() -> None:
     """X8: health and battery are looked at after pairing too."""
     for unfit in ({"healthy": False}, {"battery": 0.1}):
@@ -905,6 +1130,7 @@ def test_an_unfit_drone_drops_the_plan_and_flies_no_other() -> None:
         assert table.state.flight is None
 
 
+@pytest.mark.requirement("X6", "X3", "X7")
 def test_a_frozen_position_stops_the_motion() -> None:
     """X6: the velocity says it flies, the position says it does not; one of them is wrong."""
     table = flying()
@@ -918,13 +1144,15 @@ def test_a_frozen_position_stops_the_motion() -> None:
     assert 0.02 * i < 1.8
 
 
+@pytest.mark.requirement("X3", "X7")
 def test_on_the_ground_is_let_go() -> None:
     table = flying()
     table.in_air = False
-    table.tell()
-    assert table.log[-1] == LetGo("nothing")
+    table.until(lambda: table.state.session is None, 2.0)
+    assert table.effects(LetGo) == [LetGo("nothing")]
 
 
+@pytest.mark.requirement("X3", "X7")
 def test_a_telemetry_gap_drops_the_plan() -> None:
     table = flying()
     for _ in range(6):
@@ -939,6 +1167,7 @@ def test_a_telemetry_gap_drops_the_plan() -> None:
     assert len(table.effects(Fly)) == 1, "the rest is asked for anew"
 
 
+@pytest.mark.requirement("X3", "X7")
 def test_the_autopilot_leaving_offboard_drops_the_plan() -> None:
     table = flying()
     table.flight_mode = "HOLD"
@@ -946,6 +1175,7 @@ def test_the_autopilot_leaving_offboard_drops_the_plan() -> None:
     assert table.state.state is State.SETTLING
 
 
+@pytest.mark.requirement("X3", "X7")
 def test_a_stall_in_flight_settles_and_while_facing_refuses() -> None:
     table = flying()
     table.put(Stalled("the guard commanded Hold"))
@@ -959,6 +1189,7 @@ def test_a_stall_in_flight_settles_and_while_facing_refuses() -> None:
 # ---------------------------------------------------------------- shorter, slower, recovering: P3, design 7, 8
 
 
+@pytest.mark.requirement("P3")
 def test_reduced_says_both_lengths_and_why() -> None:
     limits = Limits(tracking_m=0.0, lag_s=0.0)
     table = Tabletop(world=replace(FLAT, obstacles=wall_at(12.5)), limits=limits).paired()
@@ -971,6 +1202,7 @@ def test_reduced_says_both_lengths_and_why() -> None:
     assert "wall" in table.said()[-1]
 
 
+@pytest.mark.requirement("P3")
 @pytest.mark.parametrize("wall_m", [12.5, 40.0])
 def test_a_dry_run_decides_as_ever_and_flies_nothing(wall_m: float) -> None:
     """The same decision as when it is flown, then Armed again."""
@@ -990,6 +1222,7 @@ def test_a_dry_run_decides_as_ever_and_flies_nothing(wall_m: float) -> None:
     assert table.wait(1.0).state.state is State.ARMED
 
 
+@pytest.mark.requirement("P3")
 def test_an_offer_flies_only_after_continue() -> None:
     """Design 7: replaced is a suggestion."""
     world, limits = replace(FLAT, obstacles=wall_at(12.25)), Limits(lateral_step_m=0.1)
@@ -1008,6 +1241,7 @@ def test_an_offer_flies_only_after_continue() -> None:
     assert fly.plan.move.speed < table.state.limits.speed_m_s
 
 
+@pytest.mark.requirement("X13", "P3")
 def test_a_plan_that_mends_is_flown_out_of_the_violation() -> None:
     """X13: hovering too close to a wall, away from it is allowed, and the monitor lets it."""
     table = Tabletop(world=replace(FLAT, obstacles=wall_at(11.4))).paired().wait(0.3)
@@ -1020,6 +1254,7 @@ def test_a_plan_that_mends_is_flown_out_of_the_violation() -> None:
     assert table.verdicts(towards) == ["reduced"]
 
 
+@pytest.mark.requirement("P3")
 def test_states_are_frozen() -> None:
     before = Tabletop().paired().state
     copy = replace(before)

@@ -12,7 +12,7 @@ from config.demo.drawn_hand import GESTURES, Pose, centre_of, draw, wall
 from modalities.models.catalogue import ModelError, find_hand_model
 from tests.mjpeg import serving
 from tests.whole import PLAIN, App
-from ui.check import mirror as check_mirror
+from ui.check import mirror
 from ui.check.command import PARTS
 from ui.check.findings import Finding, State, Wanted
 
@@ -76,7 +76,7 @@ def test_a_camera_unplugged_in_mid_flight() -> None:
 )
 def test_the_mirror_test(pointing: str, says: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody points to their own left; before a camera that shows them as a mirror would, it looks like their right."""
-    monkeypatch.setattr(check_mirror, "POINT_S", 10.0 if says else 0.5)
+    monkeypatch.setattr(mirror, "POINT_S", 10.0 if says else 0.5)
     (look,) = (look for name, look in PARTS if name == "mirror test")
     with serving(seen(lambda: pointing), PAUSE_S) as (_, address):
         (found,) = look(Wanted(camera=address, mirror=True))
@@ -87,12 +87,12 @@ def test_the_mirror_test(pointing: str, says: str | None, monkeypatch: pytest.Mo
 def test_the_mirror_test_needs_somebody_and_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     with serving(seen(lambda: ""), PAUSE_S) as (_, address):
         monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-        (found,) = check_mirror.mirror(Wanted(camera=address))
+        (found,) = mirror.mirror(Wanted(camera=address))
     assert found == Finding(
         "mirror test",
         State.NOT_DONE,
         "nobody is at a terminal",
         "run m3r check --mirror, standing before the camera",
     )
-    monkeypatch.setattr(check_mirror, "camera_numbers", list)
-    assert list(check_mirror.mirror(Wanted(mirror=True))) == []
+    monkeypatch.setattr(mirror, "camera_numbers", list)
+    assert list(mirror.mirror(Wanted(mirror=True))) == []

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from m3r_app.recorder import read_record
+from m3r_app.record.recorder import read_record
 from modalities.models.catalogue import ModelError, find_model
 from modalities.voice.audio import quiet, read_audio
 from modalities.voice.self_speech import TAIL_S

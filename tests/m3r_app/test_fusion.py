@@ -9,6 +9,8 @@ import pytest
 from m3r_app.arbiter.fusion import Relation, Remembered, fused, relate, remember
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
+pytestmark = pytest.mark.requirement("X5")
+
 VOICE, GESTURE = Modality.VOICE, Modality.GESTURE
 
 
@@ -60,13 +62,15 @@ def test_no_confidence_stays_none(bad: float) -> None:
 def test_memory_is_short_and_keeps_one_of_each() -> None:
     recent: tuple[Remembered, ...] = ()
     for i in range(50):
-        recent = remember(recent, made(Command.GO_LEFT, VOICE, 10.0 + 0.5 * i, name=f"r{i}"), 1.0)
+        now_s = 10.0 + 0.5 * i
+        recent = remember(recent, made(Command.GO_LEFT, VOICE, now_s, name=f"r{i}"), now_s - 2.0)
     assert [r.request.id for r in recent] == ["r45", "r46", "r47", "r48", "r49"]
-    again = remember(recent, recent[-1].request, 1.0, refused=True)
+    again = remember(recent, recent[-1].request, 0.0, refused=True)
     assert [r.request.id for r in again] == ["r45", "r46", "r47", "r48", "r49"]
     assert again[-1].refused
 
 
+@pytest.mark.requirement("X5")
 def test_whoever_disagrees_outweighs_whoever_agrees() -> None:
     """X5: a third modality that confirms the second does not overrule the first."""
     recent = (

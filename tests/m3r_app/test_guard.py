@@ -18,6 +18,8 @@ import pytest
 
 from m3r_app.vehicle.guard import HOLD_AFTER_S, KILL_AFTER_S, Guard
 
+pytestmark = pytest.mark.requirement("X3", "X7")
+
 ROOT = Path(__file__).resolve().parents[2]
 RUNS = range(25 if os.environ.get("M3R_SOAK") else 1)
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import rasterio
 
-from m3r_app.scenario import SHIPPED, Scenario, load_scenario
-from m3r_app.sim.autopilot import TICK_S, Autopilot
+from m3r_app.environment.loaders import load_world
+from m3r_app.environment.scenario import SHIPPED, Scenario, load_scenario
+from m3r_app.sim.autopilot import Autopilot
 from m3r_app.sim.fleet import Fleet
-from m3r_app.world import load_world
+from m3r_app.sim.guidance import TICK_S
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.situation import Situation, World

@@ -14,8 +14,8 @@ import rasterio
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform
 
-from m3r_app.scenario import SHIPPED, GeofenceSource, load_scenario
-from m3r_app.world import WorldError, load_dem, load_geofence, load_obstacles, load_world
+from m3r_app.environment.loaders import WorldError, load_dem, load_geofence, load_obstacles, load_world
+from m3r_app.environment.scenario import SHIPPED, GeofenceSource, load_scenario
 from safety.frames import LocalFrame
 from safety.terrain import Terrain
 from safety.vocabulary import Floats, Geodetic, Ned

@@ -6,8 +6,10 @@ import re
 
 import pytest
 
-from m3r_app.modes import MODE_OF, TRANSITIONS, Cause, State, mermaid, next_state
+from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, Cause, State, mermaid, next_state
 from safety.vocabulary import Mode
+
+pytestmark = pytest.mark.requirement("P1")
 
 PAPER = [
     (State.ARMED, State.DETECTED), (State.DETECTED, State.VALIDATED), (State.VALIDATED, State.PLANNED),
@@ -21,6 +23,7 @@ def test_the_papers_transitions(a: State, b: State) -> None:
     assert b in {to for (state, _), to in TRANSITIONS.items() if state is a}
 
 
+@pytest.mark.requirement("P1")
 def test_armed_only_through_pairing() -> None:
     """P1: from NormalAutonomy there is one way into Armed, and it begins with an accepted pairing."""
     into = {
@@ -65,7 +68,7 @@ def test_the_diagram_is_the_table() -> None:
     end = lines.index("    }")
     inner = [line.strip() for line in lines[composite + 1 : end]]
     assert inner == [s.value for s in State if MODE_OF[s] is Mode.ARMED]
-    drawn: set[tuple[State, Cause]] = set()
+    drawn: set[tuple[State, Cause, State]] = set()
     for line in lines[:composite] + lines[end + 1 :]:
         if name := NAME.match(line):
             assert MODE_OF[State(name[3])].value == name[2]
@@ -79,7 +82,7 @@ def test_the_diagram_is_the_table() -> None:
         sources = inner if arrow[1] == Mode.ARMED else [arrow[1]]
         for source in sources:
             for cause in arrow[3].split(", "):
-                assert TRANSITIONS[(State(source), Cause(cause))] is State(arrow[2])
-                assert (State(source), Cause(cause)) not in drawn, "drawn twice"
-                drawn.add((State(source), Cause(cause)))
-    assert drawn == set(TRANSITIONS)
+                entry = State(source), Cause(cause), State(arrow[2])
+                assert entry not in drawn, "drawn twice"
+                drawn.add(entry)
+    assert drawn == {(*key, to) for table in (TRANSITIONS, WHILE_HELD) for key, to in table.items()}

@@ -14,6 +14,8 @@ from safety.limits import Limits
 from safety.planner import plan_translation
 from safety.vocabulary import Ned, Primitive
 
+pytestmark = pytest.mark.requirement("X3", "X4", "X7")
+
 PLAN = plan_translation(Primitive.MOVE_FORWARD, Ned(10.0, 0.0, -10.0), 180.0, Ned(0.0, 0.0, 0.0), 1.0, Limits())
 SHIFT = Ned(100.0, 20.0, -3.0)
 
@@ -39,11 +41,17 @@ class Pilot:
         await self.door.wait()
         self.orders.append("offboard")
 
-    async def hold(self) -> None:
-        self.orders.append("hold")
+    async def end_setpoints(self) -> None:
+        self.orders.append("silence")
+
+    async def leave_in_hold(self) -> None:
+        self.orders.append("silence and hold")
 
     async def resume_mission(self) -> None:
         self.orders.append("resume")
+
+    async def begin_landing(self) -> None:
+        self.orders.append("land")
 
 
 class Made:
@@ -119,8 +127,10 @@ async def test_an_order_overtaken_by_hold_is_not_flown() -> None:
     assert {s[0] for s in made.pilot.sent} == {made.pilot.position}
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize(("command", "orders"), [
-    ("hold", ["offboard", "hold"]), ("resume", ["offboard", "resume"]), ("nothing", ["offboard"]),
+    ("hold", ["offboard", "silence and hold"]), ("resume", ["offboard", "silence", "resume"]),
+    ("nothing", ["offboard", "silence"]), ("land", ["offboard", "silence", "land"]),
 ])  # fmt: skip
 async def test_let_go_while_offboard_is_being_entered_sends_nothing_more(command: str, orders: list[str]) -> None:
     """X3: an entry under way does not bring the stream back."""
@@ -138,6 +148,7 @@ async def test_let_go_while_offboard_is_being_entered_sends_nothing_more(command
     assert made.pilot.orders == orders
 
 
+@pytest.mark.requirement("X7")
 async def test_a_stalled_loop_drops_the_plan() -> None:
     """X7: late by more than STALL_S, the rest is not flown; a punctual loop beats the guard at 50 Hz."""
     made = Made()

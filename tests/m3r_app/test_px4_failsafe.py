@@ -10,6 +10,8 @@ import pytest
 
 from m3r_app.vehicle.px4_failsafe import HOLD_ACTION, apply, check, mismatches
 
+pytestmark = pytest.mark.requirement("X7", "X8")
+
 GOOD: dict[str, float | None] = {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3}
 PX4_DEFAULTS: dict[str, float | None] = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1}
 

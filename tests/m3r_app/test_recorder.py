@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from m3r_app import recorder as recorder_module
 from m3r_app.plain import ARRAY_LENGTH, plain, restored
+from m3r_app.record import recorder as recorder_module
 from m3r_app.record.foxglove_schemas import SCHEMAS
-from m3r_app.recorder import SCHEMA_VERSION, Recorder, RecordError, read_header, read_record
+from m3r_app.record.recorder import SCHEMA_VERSION, Recorder, RecordError, read_header, read_record
 from safety.vocabulary import Finding, Ned, VehicleState
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -210,7 +210,7 @@ def test_damage_ends_the_reading(tmp_path: Path) -> None:
 KILLED = """
 import sys
 from pathlib import Path
-from m3r_app.recorder import Recorder
+from m3r_app.record.recorder import Recorder
 made = Recorder(Path(sys.argv[1]), {}, print)
 i = 0
 while True:
@@ -246,7 +246,7 @@ def test_a_killed_app_leaves_its_record(tmp_path: Path) -> None:
 FULL = """
 import resource, signal, sys
 from pathlib import Path
-from m3r_app.recorder import Recorder
+from m3r_app.record.recorder import Recorder
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 made = Recorder(Path(sys.argv[1]), {}, print)
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))

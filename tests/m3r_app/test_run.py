@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from m3r_app.recorder import read_header, read_record
+from m3r_app.record.recorder import read_header, read_record
 from safety.limits import Limits
 from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
 
@@ -84,6 +84,7 @@ def test_a_low_confidence_request_is_blocked_and_says_why(story: tuple[Ran, Simu
     assert after == {"Blocked", "ManeuverRequestValidated"}
 
 
+@pytest.mark.requirement("X4", "X12")
 @pytest.mark.xdist_group("story")
 def test_stop_ends_the_motion_and_continue_takes_up_the_rest(story: tuple[Ran, Simulated, Path]) -> None:
     """X4, X12."""
@@ -179,6 +180,7 @@ def test_ctrl_c_in_mid_maneuver_holds_and_exits_130(tmp_path: Path) -> None:
     assert "Traceback" not in ran.told
 
 
+@pytest.mark.requirement("X7")
 def test_a_killed_app_goes_no_further_than_its_step(tmp_path: Path) -> None:
     """X7: setpoints stop, the autopilot's own failsafe holds; the record is readable up to the kill."""
     record = tmp_path / "r.mcap"
@@ -198,6 +200,7 @@ def test_a_killed_app_goes_no_further_than_its_step(tmp_path: Path) -> None:
     assert any(topic == "telemetry" for topic, _, _ in read_record(record))
 
 
+@pytest.mark.requirement("X7")
 def test_a_frozen_app_is_ended_and_the_drone_holds(tmp_path: Path) -> None:
     """X7: the interpreter itself stuck (here: stopped); the outer guard ends it, the autopilot's failsafe holds."""
     with simulated(PLAIN, tmp_path) as sim:
@@ -221,6 +224,7 @@ def other_station_lands(address: str) -> None:
         link.sendto(command.pack(station), (host, int(port)))
 
 
+@pytest.mark.requirement("X3")
 def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
     """X3: another ground station lands the drone; nothing of ours brings it back."""
     with simulated(PLAIN, tmp_path) as sim:
@@ -300,6 +304,7 @@ def test_an_actual_violation_is_told_and_exits_4(tmp_path: Path) -> None:
     assert ran.events[-1]["violations"] >= 1
 
 
+@pytest.mark.requirement("X8")
 def test_a_drone_with_default_failsafes_is_refused_with_the_remedy(tmp_path: Path) -> None:
     """X8: read back, refused with the list; --apply-failsafe and --takeoff make it fly."""
     ran = m3r("run", "--headless", "--pair", "blue", "--scenario", str(HILLSIDE))
@@ -310,6 +315,7 @@ def test_a_drone_with_default_failsafes_is_refused_with_the_remedy(tmp_path: Pat
     assert "not in the air" in reasons
 
 
+@pytest.mark.requirement("X8")
 def test_apply_failsafe_and_takeoff_make_a_drone_on_the_ground_fit(tmp_path: Path) -> None:
     """X8, design 12, 15: what was refused above, with the remedy applied; left in Hold at the end."""
     with simulated(HILLSIDE, tmp_path) as sim:
@@ -322,6 +328,7 @@ def test_apply_failsafe_and_takeoff_make_a_drone_on_the_ground_fit(tmp_path: Pat
         assert sim.last("blue")["mode"] == "LOITER"
 
 
+@pytest.mark.requirement("X4")
 def test_stop_ends_a_take_off_before_pairing(tmp_path: Path) -> None:
     """X4: whatever this app has set in motion is held."""
     with simulated(HILLSIDE, tmp_path) as sim:
@@ -369,7 +376,7 @@ def test_bad_input_is_one_sentence_that_names_it(arguments: list[str], named: st
 
 def test_a_vehicle_that_never_answers_is_exit_3() -> None:
     """The link is fine, nobody is there."""
-    from m3r_app.vehicle.fleet import free_udp_block
+    from m3r_app.ports import free_udp_block
 
     url = f"udpin://127.0.0.1:{free_udp_block(1)}"
     began_s = time.monotonic()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from m3r_app.scenario import SHIPPED, ScenarioError, load_scenario
+from m3r_app.environment.scenario import SHIPPED, ScenarioError, load_scenario
 
 PLAIN = (SHIPPED / "plain.toml").read_text(encoding="utf-8")
 

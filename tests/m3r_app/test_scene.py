@@ -33,6 +33,11 @@ SECOND = 1_000_000_000
 HERE = [14.0, 0.0, -6.0]
 
 
+def shipped_stage() -> dict[str, Any]:
+    setting = prepare(RunOptions())
+    return stage_of(setting.world, setting.operator)
+
+
 def follows(value: Any, schema: dict[str, Any], where: str = "") -> None:
     """The part of JSON Schema that ours use, and no property that is not in it."""
     kind = schema.get("type")
@@ -66,7 +71,7 @@ def entities(messages: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def test_the_stage_is_ground_obstacles_fence_and_operator() -> None:
-    stage = entities(updates(Scene(), "stage", **stage_of(prepare(RunOptions()))))
+    stage = entities(updates(Scene(), "stage", **shipped_stage()))
     assert set(stage) == {"ground", "obstacles", "fence", "operator"}
     mesh = stage["ground"]["triangles"][0]
     assert len(mesh["points"]) == 61 * 61
@@ -267,7 +272,7 @@ async def test_a_viewer_can_only_look() -> None:
         await ws.send_json({"op": "setParameters", "parameters": [{"name": "workspace_m", "value": 500}]})
 
     try:
-        viewer.record("stage", 0.0, stage_of(prepare(RunOptions())))
+        viewer.record("stage", 0.0, shipped_stage())
         await watched(port, {"/view/scene/stage"}, meddle)
     finally:
         viewer.close()

@@ -12,6 +12,8 @@ from m3r_app.options import RunOptions
 from m3r_app.run import run
 from tests.whole import PLAIN, simulated
 
+pytestmark = pytest.mark.requirement("X7")
+
 STALL_S = 2.5
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,8 @@ import pytest
 from m3r_app.vehicle.mavsdk_telemetry import HEALTH_CHECKS, RC_RECEIVER, Reception
 from m3r_app.vehicle.telemetry import ACCURACY_AGE_S, BATTERY_AGE_S, MODE_AGE_S, NEVER_HEARD, Accuracy, Health, Slots
 from safety.vocabulary import Geodetic, Ned
+
+pytestmark = pytest.mark.requirement("X6")
 
 PLACE = Geodetic(47.0, 8.0, 500.0)
 
@@ -61,12 +64,16 @@ class Heard:
         self.tell("attitude_angular_velocity_body", yaw_rad_s=math.pi / 18)
         self.tell("raw_gps", horizontal_uncertainty_m=0.3, vertical_uncertainty_m=0.6)
         self.tell("flight_mode", SimpleNamespace(name="OFFBOARD"))
-        self.tell("armed", value=True)
-        self.tell("in_air", value=True)
+        self.message("HEARTBEAT", autopilot=12, base_mode=0b10000001, custom_mode=6 << 16)
+        self.message("EXTENDED_SYS_STATE", landed_state=2)
         self.tell("health", SimpleNamespace(**dict.fromkeys(HEALTH_CHECKS, True)))
         self.tell("battery", remaining_percent=42.0)
-        self.tell("ESTIMATOR_STATUS", fields_json='{"pos_horiz_accuracy": 0.5, "pos_vert_accuracy": 0.4}')
-        self.tell("SYS_STATUS", fields_json=f'{{"onboard_control_sensors_present": {RC_RECEIVER | 1}}}')
+        self.message("ESTIMATOR_STATUS", pos_horiz_accuracy=0.5, pos_vert_accuracy=0.4)
+        self.message("SYS_STATUS", onboard_control_sensors_present=RC_RECEIVER | 1)
+
+    def message(self, kind: str, *, component: int = 1, **fields: float) -> None:
+        """A MAVLink message as it is, from a component of the vehicle."""
+        self.tell(kind, component_id=component, fields_json=json.dumps(fields))
 
     def tell_local(self, north: float = 1.0, velocity_east: float = 0.2) -> None:
         position = SimpleNamespace(north_m=north, east_m=2.0, down_m=-3.0)
@@ -87,7 +94,7 @@ def test_everything_heard_is_in_the_snapshot() -> None:
     assert (telemetry.geodetic, telemetry.local, telemetry.velocity) == (PLACE, Ned(1, 2, -3), Ned(0.1, 0.2, 0.3))
     assert telemetry.yaw_deg == pytest.approx(-170.0)
     assert telemetry.yaw_rate_deg_s == pytest.approx(10.0)
-    assert (telemetry.sigma_h_m, telemetry.sigma_v_m) == (0.5, 0.6)
+    assert (telemetry.sigma_h_m, telemetry.sigma_v_m) == (0.5, 0.4)
     assert (telemetry.flight_mode, telemetry.armed, telemetry.in_air) == ("OFFBOARD", True, True)
     assert (telemetry.healthy, telemetry.unhealthy, telemetry.battery) == (True, (), 0.42)
     assert telemetry.rc_present is True
@@ -146,11 +153,12 @@ def test_values_that_are_not_finite_are_dropped_so_that_the_old_ones_age(bad: fl
 @pytest.mark.parametrize(
     ("estimator", "receiver", "believed"),
     [
-        (0.5, 0.3, 0.5), (0.3, 0.5, 0.5), (math.nan, 0.3, 0.3), (0.5, math.nan, 0.5), (0.0, 0.3, 0.3),
+        (0.5, 0.3, 0.5), (0.3, 0.5, 0.3), (math.nan, 0.3, 0.3), (0.5, math.nan, 0.5), (0.0, 0.3, 0.3),
+        (0.29, 9.9, 0.29), (0.29, 10.0, 10.0), (0.29, 100.0, 100.0), (50.0, 0.9, 50.0),
         (0.5, 0.0, 0.5), (math.inf, 0.3, 0.3), (-1.0, 0.3, 0.3), (math.nan, math.nan, math.nan), (0.0, 0.0, math.nan),
     ],
 )  # fmt: skip
-def test_accuracy_is_the_worst_that_is_stated_and_zero_states_nothing(
+def test_accuracy_is_the_estimators_else_the_receivers_and_zero_states_nothing(
     estimator: float, receiver: float, believed: float
 ) -> None:
     slots = Slots()
@@ -158,7 +166,7 @@ def test_accuracy_is_the_worst_that_is_stated_and_zero_states_nothing(
     slots.receiver.put(Accuracy(receiver, 2.0), 100.0)
     telemetry = slots.snapshot(100.0)
     assert telemetry.sigma_h_m == pytest.approx(believed, nan_ok=True)
-    assert telemetry.sigma_v_m == 2.0
+    assert telemetry.sigma_v_m == 1.0
 
 
 @pytest.mark.parametrize(
@@ -201,3 +209,51 @@ def test_status_texts_are_passed_on_with_their_severity() -> None:
     heard = Heard()
     heard.tell("status_text", type=SimpleNamespace(name="CRITICAL"), text="Arming denied")
     assert heard.texts == [("CRITICAL", "Arming denied")]
+
+
+def test_only_the_autopilots_own_component_is_believed() -> None:
+    heard = Heard()
+    heard.tell_everything()
+    for component in (154, 100, 0, 255):
+        heard.message("HEARTBEAT", component=component, autopilot=3, base_mode=0, custom_mode=4 << 16 | 6 << 24)
+        heard.message("HEARTBEAT", component=component, autopilot=12, base_mode=0, custom_mode=4 << 16 | 6 << 24)
+        heard.message("CURRENT_MODE", component=component, custom_mode=4 << 16 | 6 << 24)
+        heard.message("EXTENDED_SYS_STATE", component=component, landed_state=1)
+        heard.message("SYSTEM_TIME", component=component, time_boot_ms=1)
+    heard.message("HEARTBEAT", autopilot=8, base_mode=0, custom_mode=4 << 16 | 6 << 24)
+    heard.tell("flight_mode", SimpleNamespace(name="UNKNOWN"))  # what MAVSDK makes of it
+    telemetry = heard.reception.slots.snapshot(100.0)
+    assert (telemetry.flight_mode, telemetry.armed, telemetry.in_air, telemetry.restarts) == ("OFFBOARD", True, True, 0)
+
+
+@pytest.mark.parametrize(
+    ("main", "sub", "name"),
+    [
+        (4, 3, "HOLD"), (4, 2, "TAKEOFF"), (4, 4, "MISSION"), (4, 5, "RETURN_TO_LAUNCH"), (4, 6, "LAND"), (4, 9, "LAND"),
+        (3, 0, "POSCTL"), (2, 0, "ALTCTL"), (6, 0, "OFFBOARD"), (7, 0, "STABILIZED"), (4, 7, "AUTO_7"), (99, 0, "MODE_99"),
+    ],
+)  # fmt: skip
+def test_every_mode_of_px4_has_a_name(main: int, sub: int, name: str) -> None:
+    """An unknown mode is somebody's; only silence is UNKNOWN."""
+    for kind in ("HEARTBEAT", "CURRENT_MODE"):
+        heard = Heard()
+        heard.tell_everything()
+        heard.message(kind, autopilot=12, base_mode=128, custom_mode=main << 16 | sub << 24)
+        assert heard.reception.slots.snapshot(100.0).flight_mode == name
+
+
+@pytest.mark.parametrize(("state", "in_air"), [(0, None), (1, False), (2, True), (3, True), (4, True), (9, None)])
+def test_only_a_stated_landing_is_one(state: int, in_air: bool | None) -> None:
+    heard = Heard()
+    heard.message("EXTENDED_SYS_STATE", landed_state=state)
+    assert heard.reception.slots.snapshot(100.0).in_air is in_air
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "restarts"), [(5000, 5500, 0), (5000, 4500, 0), (5000, 300, 1), (5000, 0, 1)]
+)
+def test_the_time_since_boot_tells_a_restart(before: int, after: int, restarts: int) -> None:
+    heard = Heard()
+    for since_boot_ms in (before, after, after + 500):
+        heard.message("SYSTEM_TIME", time_boot_ms=since_boot_ms)
+    assert heard.reception.slots.snapshot(100.0).restarts == restarts

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import os
 import signal
 import socket
 import subprocess
@@ -18,14 +19,16 @@ from pathlib import Path
 
 import pytest
 
+from m3r_app.ports import free_udp_block
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+from m3r_app.vehicle.interface import VehicleError
+from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 from m3r_app.vehicle.px4_failsafe import apply, check
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned
 from tests.m3r_app.autopilot_stand_in import HOLD, MISSION, OFFBOARD, POSCTL, StandIn
-from tests.m3r_app.sim.fleet_process import FleetProcess, free_ports
+from tests.m3r_app.sim.fleet_process import FleetProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAIN = ROOT / "config" / "scenarios" / "plain.toml"
@@ -54,7 +57,7 @@ def with_stand_in(test: Callable[[Vehicle, StandIn], Awaitable[None]], **how: ob
     """Run a test on a vehicle that does as told."""
 
     async def run() -> None:
-        port = free_ports(1)
+        port = free_udp_block(1)
         with StandIn(port, **how) as autopilot:  # type: ignore[arg-type]
             async with connected(f"udpin://127.0.0.1:{port}") as vehicle:
                 await test(vehicle, autopilot)
@@ -355,10 +358,10 @@ def test_a_blocked_loop_finds_the_latest_telemetry_not_a_backlog() -> None:
     with_stand_in(test)
 
 
-def test_the_worse_of_estimator_and_receiver_is_believed_and_neither_is_unknown() -> None:
+def test_the_estimator_is_believed_then_the_receiver_and_neither_is_unknown() -> None:
     async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()
-        assert (telemetry.sigma_h_m, telemetry.sigma_v_m) == pytest.approx((0.4, 0.9), abs=1e-6)
+        assert (telemetry.sigma_h_m, telemetry.sigma_v_m) == pytest.approx((0.4, 0.6), abs=1e-6)
         autopilot.estimator_m = (math.nan, 2.0)
         await vehicle.wait_for(lambda t: t.sigma_v_m == 2.0, 3.0, "the estimator's doubt")
         assert vehicle.telemetry().sigma_h_m == pytest.approx(0.3, abs=1e-6)
@@ -402,7 +405,13 @@ def test_parameters_keep_their_types_and_a_missing_one_is_told_soon() -> None:
         assert time.monotonic() - began_s < 2.5, "MAVSDK alone would wait three seconds for each"
         await vehicle.set_parameter("COM_OBL_RC_ACT", 5.0)
         await vehicle.set_parameter("COM_OF_LOSS_T", 0.5)
-        assert autopilot.parameters == {**FAILSAFE, "MINUS": -1, "COM_OBL_RC_ACT": 5, "COM_OF_LOSS_T": 0.5}
+        assert autopilot.parameters == {
+            "SYS_AUTOSTART": 4001,
+            **FAILSAFE,
+            "MINUS": -1,
+            "COM_OBL_RC_ACT": 5,
+            "COM_OF_LOSS_T": 0.5,
+        }
         with pytest.raises(VehicleError, match="red: the vehicle has no parameter NOT_THERE"):
             await vehicle.set_parameter("NOT_THERE", 1.0)
         with pytest.raises(VehicleError, match="COM_OBL_RC_ACT is an integer"):
@@ -448,7 +457,7 @@ def test_mission_resumes_by_command() -> None:
 
 def test_a_vehicle_that_never_answers_is_one_sentence_and_leaves_the_port_free() -> None:
     async def run() -> None:
-        url = f"udpin://127.0.0.1:{free_ports(1)}"
+        url = f"udpin://127.0.0.1:{free_udp_block(1)}"
         for _ in range(2):
             with pytest.raises(VehicleError, match=f"red: no autopilot answered on {url} within 0.3 s"):
                 await Vehicle.connect("red", url, time.monotonic, 0.3)
@@ -478,7 +487,7 @@ def test_two_vehicles_of_ours_cannot_share_a_port() -> None:
 
 def test_two_vehicles_on_one_link_are_refused_for_one_might_be_taken_for_the_other() -> None:
     async def run() -> None:
-        port = free_ports(1)
+        port = free_udp_block(1)
         with StandIn(port, system_id=1), StandIn(port, system_id=2):
             vehicle = await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
             try:
@@ -499,7 +508,7 @@ def test_a_bad_link_is_one_sentence(url: str) -> None:
 
 def test_a_cancelled_connect_lets_go_of_the_port() -> None:
     async def run() -> None:
-        url = f"udpin://127.0.0.1:{free_ports(1)}"
+        url = f"udpin://127.0.0.1:{free_udp_block(1)}"
         connecting = asyncio.create_task(Vehicle.connect("red", url, time.monotonic, 30.0))
         await asyncio.sleep(0.2)
         connecting.cancel()
@@ -524,3 +533,205 @@ def test_after_closing_commands_are_refused_and_late_callbacks_do_no_harm() -> N
 
     with_stand_in(test)
     assert all("guard" not in thread.name for thread in threading.enumerate())
+
+
+# ---------------------------------------------------------------- letting go ends the setpoints: X3
+
+
+async def quiet(autopilot: StandIn) -> None:
+    """A second in which no setpoint arrives, after what was still on its way."""
+    await asyncio.sleep(0.1)
+    before = len(autopilot.setpoints)
+    await asyncio.sleep(1.0)
+    assert len(autopilot.setpoints) == before
+
+
+def test_a_remembered_setpoint_is_sent_again_until_it_is_let_go() -> None:
+    """MAVSDK repeats it at 20 Hz: the test would not notice silence that was there before."""
+
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.enter_offboard()
+        await asyncio.sleep(0.2)
+        before = len(autopilot.setpoints)
+        await until(lambda: len(autopilot.setpoints) >= before + 5)
+        await vehicle.end_setpoints()
+        await quiet(autopilot)
+        assert autopilot.mode == OFFBOARD, "it commands nothing: somebody else may have taken over"
+
+    with_stand_in(test)
+
+
+def test_let_go_in_hold_is_seen_and_silent() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.enter_offboard()
+        await vehicle.leave_in_hold()
+        assert vehicle.telemetry().flight_mode == "HOLD"
+        await quiet(autopilot)
+        await vehicle.enter_offboard()
+        assert vehicle.telemetry().flight_mode == "OFFBOARD", "and it can be taken again"
+
+    with_stand_in(test)
+
+
+def test_let_go_while_the_link_is_cut_is_silent_and_holds_when_it_returns() -> None:
+    """PX4 goes back to Offboard by itself as long as setpoints come: after a cut too, none may."""
+
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.enter_offboard()
+        autopilot.silent = True
+        letting_go = asyncio.create_task(vehicle.leave_in_hold())
+        await asyncio.sleep(1.0)
+        assert not letting_go.done()
+        autopilot.setpoints.clear()
+        autopilot.silent = False
+        await letting_go
+        assert autopilot.mode == HOLD
+        await quiet(autopilot)
+
+    with_stand_in(test)
+
+
+def test_whoever_took_over_is_not_fought_by_letting_go() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.enter_offboard()
+        autopilot.mode = POSCTL
+        await vehicle.wait_for(lambda t: t.flight_mode == "POSCTL", 3.0, "the takeover")
+        autopilot.mode_commands.clear()
+        await vehicle.leave_in_hold()
+        assert autopilot.mode_commands == []
+        await quiet(autopilot)
+
+    with_stand_in(test)
+
+
+# ---------------------------------------------------------------- MAVLink as it is out there: X6
+
+
+@pytest.mark.parametrize("claimed", [3, 12, 0])
+def test_a_gimbal_that_claims_to_be_an_autopilot_is_not_believed(claimed: int) -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        modes: set[str] = set()
+        vehicle.on_telemetry(lambda t: modes.add(t.flight_mode))
+        await vehicle.enter_offboard()
+        await vehicle.hold()
+        await vehicle.enter_offboard()
+        await asyncio.sleep(1.0)
+        await vehicle.hold()
+        assert modes <= {"HOLD", "OFFBOARD"}
+        assert vehicle.telemetry().armed is True
+
+    with_stand_in(test, gimbal=claimed)
+
+
+def test_what_it_does_not_say_is_unknown() -> None:
+    """Whether it stands, above all: a link that was cut is no landing."""
+
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        assert vehicle.telemetry().in_air is True
+        autopilot.landed_unknown = True
+        await vehicle.wait_for(lambda t: t.in_air is None, 5.0, "not knowing")
+        autopilot.landed_unknown, autopilot.landed = False, True
+        await vehicle.wait_for(lambda t: t.in_air is False, 2.0, "the ground")
+
+    with_stand_in(test)
+
+
+def test_an_autopilot_that_starts_anew_is_noticed() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await asyncio.sleep(0.5)
+        assert vehicle.telemetry().restarts == 0
+        autopilot.boots += 1
+        await vehicle.wait_for(lambda t: t.restarts == 1, 3.0, "the restart")
+
+    with_stand_in(test)
+
+
+@pytest.mark.parametrize(("every", "low_hz", "high_hz"), [(1, 40.0, 55.0), (12, 3.5, 4.8)])
+def test_the_rate_of_positions_is_measured(every: int, low_hz: float, high_hz: float) -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.wait_for(lambda t: low_hz < t.rate_hz < high_hz, 5.0, f"{low_hz} to {high_hz} Hz")
+
+    with_stand_in(test, every=every)
+
+
+def test_home_and_rangefinder_are_heard() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        await vehicle.wait_for(lambda t: t.home == Geodetic(47.0, 8.0, 500.0), 3.0, "home")
+        await vehicle.wait_for(lambda t: t.ground_distance_m == pytest.approx(7.25), 3.0, "the rangefinder")
+        autopilot.rangefinder_m = None
+        await vehicle.wait_for(lambda t: t.ground_distance_m is None, 3.0, "its silence")
+
+    with_stand_in(test, rangefinder_m=7.25)
+
+
+def test_a_lost_answer_is_no_missing_parameter() -> None:
+    """Half of all messages are lost each way. What exists answers in the end; what does not is still told."""
+    there: dict[str, float | int] = {"SYS_AUTOSTART": 4001, **FAILSAFE}
+
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        autopilot.loss = 0.5
+        values = await vehicle.parameters(list(FAILSAFE))
+        autopilot.loss = 0.0
+        for name, value in FAILSAFE.items():
+            assert values[name] == value or math.isnan(values[name] or math.nan), (name, values[name])
+        assert sum(values[name] == value for name, value in FAILSAFE.items()) >= 2
+
+    with_stand_in(test, parameters=there)
+
+
+def test_a_parameter_that_does_not_answer_is_told_from_one_that_does_not_exist() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        assert (await vehicle.parameters(["NOT_THERE"]))["NOT_THERE"] is None
+        autopilot.silent = True
+        assert math.isnan((await vehicle.parameters(["COM_OF_LOSS_T"]))["COM_OF_LOSS_T"] or 0.0)
+
+    with_stand_in(test, parameters={"SYS_AUTOSTART": 4001, **FAILSAFE})
+
+
+def test_what_a_drone_says_moves_no_cursor() -> None:
+    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+        autopilot.say(b"\x1b[2J\x1b]0;owned\x07low \xe2\x80\xae battery\r\n")
+        await until(lambda: bool(vehicle.status_texts))
+        said = vehicle.status_texts[-1].text
+        assert "low" in said
+        assert all(c.isprintable() for c in said)
+
+    with_stand_in(test)
+
+
+async def ready_until(deadline_s: float, vehicle: Vehicle) -> None:
+    """Ask again and again: both must have been heard."""
+    while time.monotonic() < deadline_s:
+        await vehicle.wait_ready()
+
+
+def test_two_autopilots_on_one_link_are_both_named() -> None:
+    async def run() -> None:
+        port = free_udp_block(1)
+        with StandIn(port, 7), StandIn(port, 9):
+            vehicle = await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
+            try:
+                with pytest.raises(VehicleError, match="system ids 7 and 9"):
+                    await ready_until(time.monotonic() + 10.0, vehicle)
+            finally:
+                await vehicle.close()
+
+    asyncio.run(run())
+
+
+def test_nothing_is_left_in_the_temporary_directory(tmp_path: Path) -> None:
+    with FleetProcess(PLAIN, 1) as running:
+        script = textwrap.dedent("""
+            import asyncio, sys, time
+            from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+            async def main():
+                vehicle = await Vehicle.connect("red", sys.argv[1], time.monotonic)
+                await vehicle.wait_ready()
+                await vehicle.close()
+            asyncio.run(main())
+        """)
+        env = {**os.environ, "TMPDIR": str(tmp_path)}
+        subprocess.run(
+            [sys.executable, "-c", script, running.vehicles["red"]], cwd=ROOT, env=env, check=True, timeout=60
+        )
+    assert list(tmp_path.iterdir()) == []

@@ -75,6 +75,7 @@ async def test_the_settings_of_gestures_reach_the_hands(tmp_path: Path) -> None:
     assert "index finger right" in seen
 
 
+@pytest.mark.requirement("X7")
 async def test_a_stuck_camera_does_not_keep_the_end_of_a_run_waiting() -> None:
     """X7: whoever ends the run puts the drone in Hold next."""
 

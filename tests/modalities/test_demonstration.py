@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modalities.hands.dwell import Hold
+from modalities.hands.dwell import DwellFilter
 from modalities.hands.evaluation import watch
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import VideoFile
@@ -26,7 +26,7 @@ def test_the_hand_shows_what_the_script_says() -> None:
         pytest.skip(f"no hand model: {error}")
     story = [r for r in read_script(DEMO / "operator.script", ("red",)) if r.modality is Modality.GESTURE]
     with HandDetector(model) as detector:
-        answers, hand_seen = watch(VideoFile(DEMO / "operator.mp4").frames(), detector, Hold())
+        answers, hand_seen = watch(VideoFile(DEMO / "operator.mp4").frames(), detector, DwellFilter())
     assert hand_seen
     assert [a.heard.command for a in answers] == [r.command for r in story]
     assert [a.heard.captured_at_s for a in answers] == pytest.approx([r.at_s for r in story], abs=0.4)

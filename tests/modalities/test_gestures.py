@@ -15,6 +15,8 @@ from modalities.hands.gestures import DISAGREE, LEAST_CONFIDENCE, NO_HAND, Hand,
 from safety.vocabulary import Command
 from tests.modalities.hand_shapes import HEIGHT_PX, WIDTH_PX, make_hand
 
+pytestmark = pytest.mark.requirement("R1", "X4")
+
 UP, DOWN, PICTURES_RIGHT, PICTURES_LEFT = 90.0, -90.0, 0.0, 180.0
 NINE = [
     ("-|---", UP, Command.GO_UP),

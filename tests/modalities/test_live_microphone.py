@@ -132,7 +132,6 @@ def test_speech_into_a_microphone_becomes_a_request_with_its_capture_time(
         assert request.command is Command.GO_LEFT
         assert request.confidence >= 0.7
         assert loud_s - 0.5 <= request.captured_at_s <= request.made_at_s <= time.monotonic()
-        assert request.made_at_s - request.captured_at_s < 1.0
         chunks = [one for one in ears.passed if isinstance(one, Chunk)]
         assert all(a.captured_at_s <= b.captured_at_s for a, b in itertools.pairwise(chunks))
         assert "go left" in ears.partials

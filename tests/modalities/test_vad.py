@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modalities.voice.audio import SAMPLE_RATE_HZ, Samples, chunks
-from modalities.voice.vad import VoiceEnd
+from modalities.voice.vad import VoiceActivityDetector
 
 
 def signal(parts: list[tuple[float, float]], noise: float = 0.0, offset: float = 0.0) -> Samples:
@@ -22,8 +22,8 @@ def signal(parts: list[tuple[float, float]], noise: float = 0.0, offset: float =
     return np.clip(whole * 32768.0, -32768, 32767).astype(np.int16)
 
 
-def followed(samples: Samples, chunk_samples: int = 800) -> VoiceEnd:
-    ear = VoiceEnd()
+def followed(samples: Samples, chunk_samples: int = 800) -> VoiceActivityDetector:
+    ear = VoiceActivityDetector()
     for chunk in chunks(samples, chunk_samples):
         ear.accept(chunk.samples, chunk.captured_at_s)
     return ear

@@ -15,9 +15,11 @@ from safety.monitor import Watch, watch
 from safety.planner import plan_translation, stopping_m
 from safety.situation import Situation
 from safety.terrain import Terrain
-from safety.vocabulary import Ned, Neighbours, Path, Plan, Primitive
+from safety.vocabulary import Ned, Neighbours, Path, Plan, Primitive, ReservedVolume
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, vehicle, wall, world
 from tests.safety.test_constraints import landscape
+
+pytestmark = pytest.mark.requirement("R8", "R9", "R10", "X6", "X11", "X13")
 
 PLAN = plan_translation(Primitive.MOVE_FORWARD, START, 180.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS)
 NORTH = Ned(0.5, 0.0, 0.0)
@@ -69,6 +71,7 @@ def test_hovering_predicts_nothing() -> None:
     assert kinds(look(near_wall(1.4), plan=None)) == {("actual", "obstacle_clearance")}
 
 
+@pytest.mark.requirement("X6")
 def test_an_unknown_accuracy_is_predicted_not_actual() -> None:
     """X6: it aborts, but nobody claims that a limit was broken."""
     seen = look(near_wall(1.6, sigma_m=math.nan))
@@ -112,7 +115,7 @@ def test_an_aged_neighbour_is_no_actual_violation_by_where_it_could_have_turned(
 
 def test_what_was_broken_may_only_mend() -> None:
     first = look(near_wall(1.4))
-    assert first.negative[("actual", "obstacle_clearance")] == pytest.approx(-0.1)
+    assert first.negative[("actual", "obstacle_clearance", "wall (0)")] == pytest.approx(-0.1)
     for wall_m, mending in ((1.4, True), (1.45, True), (1.36, True), (1.3, False)):
         seen = look(near_wall(wall_m), baseline=first.negative)
         actual = [b for b in seen.breaches if b.kind == "actual"]
@@ -122,7 +125,7 @@ def test_what_was_broken_may_only_mend() -> None:
 def test_a_limit_that_only_uncertainty_broke_must_not_really_break() -> None:
     """The doubtful margin was negative from the start; that does not excuse the bare limit."""
     first = look(near_wall(1.6, sigma_m=0.3))
-    assert set(first.negative) == {("predicted", "obstacle_clearance")}
+    assert set(first.negative) == {("predicted", "obstacle_clearance", "wall (0)")}
     seen = look(near_wall(1.45, sigma_m=0.3), baseline=first.negative)
     assert not next(b for b in seen.breaches if b.kind == "actual").mending
 
@@ -160,6 +163,7 @@ def test_a_place_that_is_no_number_aborts() -> None:
     assert ("predicted", "terrain_clearance") in kinds(seen)
 
 
+@pytest.mark.requirement("R9")
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, 100_000), st.floats(0.0, 0.6), st.floats(-180.0, 180.0))
 def test_where_nothing_is_predicted_nothing_is_broken(seed: int, speed_m_s: float, heading_deg: float) -> None:
@@ -182,9 +186,23 @@ def test_where_nothing_is_predicted_nothing_is_broken(seed: int, speed_m_s: floa
     assert {b.constraint for b in seen.breaches if b.kind == "actual"} == broken
 
 
+@pytest.mark.requirement("R4")
 def test_the_recorded_clearance_is_the_same_however_high_it_flies() -> None:
     """R4: near the ground it is what the rules found; higher up than they have to look, it is looked for again."""
     for height_m in (2.5, 4.0, 5.0, 6.0, 8.0, 15.0, 19.0):
         ground = Terrain(np.zeros((80, 80)), (-40.0, -40.0), ((1.0, 0.0), (0.0, 1.0)), 0.0, 0.0)
         about = situation(world=world(terrain=ground), vehicle=vehicle(position=Ned(0.3, 0.4, -height_m)))
         assert look(about).clearance_m == pytest.approx(height_m)
+
+
+# ---------------------------------------------------------------- leases of others, and what cannot be: X10, X6
+
+
+@pytest.mark.parametrize(("east_m", "seen"), [(2.0, True), (9.0, False)])
+def test_a_lease_of_somebody_else_in_the_way_is_a_breach_before_it_is_entered(east_m: float, seen: bool) -> None:
+    """It was granted while this plan was flown: by an authority that did not know, or knows better."""
+    place = START.plus(Ned(0.5, east_m, 0.0))
+    lease = ReservedVolume("zoe", place, place, 1.0, NOW_S, NOW_S + 30.0)
+    moving = vehicle(position=START.plus(Ned(0.5, 0.0, 0.0)), velocity=Ned(0.5, 0.0, 0.0))
+    found = look(situation(vehicle=moving, reservations=(lease,)))
+    assert any(b.constraint == "reservation" and not b.mending for b in found.breaches) == seen

@@ -66,7 +66,8 @@ def test_polygons_near_a_place_answer_as_all_of_them(seed: int, reach_m: float) 
     whole = Polygons.of(polygons).distance_m(points)
     cut, which = Polygons.of(polygons).near(centre, reach_m)
     vouched = np.maximum(reach_m - np.linalg.norm(points - centre[:2], axis=1), 0.0)[:, None]
-    expected = np.sign(whole) * np.minimum(np.abs(whole), vouched)
+    around = (Polygons.of(polygons).distance_m(np.array([centre[:2]])) < 0.0)[0]  # stays whole
+    expected = np.where(around, whole, np.sign(whole) * np.minimum(np.abs(whole), vouched))
     if len(cut):
         np.testing.assert_allclose(cut.distance_m(points), expected[:, which], atol=1e-9)
     left_out = np.setdiff1d(np.arange(len(polygons)), which)
@@ -147,7 +148,7 @@ def test_no_obstacles() -> None:
         (shapely.Polygon([(0, 0), (2, 2), (2, 0), (0, 2)]), 0.0, 5.0, "shed.*not valid"),
         (shapely.Polygon(), 0.0, 5.0, "shed.*empty"),
         (shapely.Point(0, 0), 0.0, 5.0, "shed.*no polygon"),
-        (shapely.Polygon([(0, 0), (np.nan, 2), (2, 0)]), 0.0, 5.0, "shed.*no number"),
+        (shapely.Polygon([(0, 0), (np.nan, 2), (2, 0)]), 0.0, 5.0, "shed.*not finite"),
         (BOX, 5.0, 5.0, "shed.*above its base"),
         (BOX, 5.0, np.nan, "shed.*above its base"),
     ],

@@ -23,6 +23,8 @@ from safety.planner import (
 from safety.vocabulary import Ned, Plan, Primitive
 from tests.safety.scene import LIMITS
 
+pytestmark = pytest.mark.requirement("R2", "R8", "X9", "X11")
+
 OPERATOR = Ned(0.0, 0.0, 0.0)
 DRONE = Ned(12.0, 5.0, -9.0)
 FACING = bearing_deg(DRONE, OPERATOR)
@@ -57,6 +59,7 @@ def assert_bounded(plan: Plan, speed_m_s: float) -> None:
     assert np.linalg.norm(velocity[[0, -1]], axis=1).max(initial=0.0) <= LIMITS.acceleration_m_s2 * 0.02
 
 
+@pytest.mark.requirement("R8", "G6")
 @settings(max_examples=40)
 @given(st.sampled_from(MOVES), yaws, st.floats(0.001, 5.0), st.sampled_from([1.0, 2.0, 4.0]))
 def test_a_move_never_exceeds_its_bounds(
@@ -77,6 +80,7 @@ def test_a_scan_never_exceeds_its_bounds(primitive: Primitive, yaw_deg: float, l
     assert plan.length_m == 0.0
 
 
+@pytest.mark.requirement("X9")
 @given(st.sampled_from(SCANS), yaws)
 def test_a_scan_is_one_full_rotation_that_ends_facing_the_operator(primitive: Primitive, yaw_deg: float) -> None:
     """X9: psi_final is the operator's bearing, and a nose that was away does not shorten the turn."""
@@ -142,6 +146,7 @@ def test_a_nose_that_is_away_faces_the_operator_first(off_deg: float) -> None:
     assert wrap_deg(plan.yaw_deg(plan.duration_s) - bearing_deg(plan.goal, OPERATOR)) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.requirement("X11")
 def test_the_swept_path_is_whole() -> None:
     """X11: from the start, and beyond the end as far as it takes to stop."""
     plan = translation(Primitive.MOVE_FORWARD)
@@ -177,9 +182,10 @@ def test_the_way_back_ends_at_the_anchor(off: tuple[float, float, float], yaw_de
     assert_bounded(plan, LIMITS.descend_speed_m_s)
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_what_is_no_heading_is_no_plan(bad: float) -> None:
-    """X6: the autopilot would take a setpoint that is no number."""
+    """X6: the autopilot would take a setpoint that is not finite."""
     for plan in (
         lambda: plan_translation(Primitive.MOVE_LEFT, DRONE, bad, OPERATOR, 1.0, LIMITS),
         lambda: plan_scan(Primitive.SCAN_LEFT, DRONE, bad, OPERATOR, 360.0, LIMITS),

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from safety.vocabulary import Profile
 
+pytestmark = pytest.mark.requirement("R8")
+
 profiles = st.builds(Profile, st.floats(1e-3, 400.0), st.floats(0.05, 50.0), st.floats(0.1, 50.0))
 
 

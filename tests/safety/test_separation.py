@@ -70,6 +70,7 @@ def test_closest_approach_is_that_of_a_dense_sampling(seed: int, count: int, sla
     assert number(separation(path, scene, LIMITS)) == pytest.approx(sampled_margin(path, scene), abs=0.01)
 
 
+@pytest.mark.requirement("R5", "R6", "G3")
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_the_margin_is_exact_about_the_limit(offset: float) -> None:
     """R5, R6, G3: where both will be, not where they are."""
@@ -300,19 +301,28 @@ def test_every_reserved_volume_counts() -> None:
     assert not reservation(straight(at(0.0, 1.0)), situation(reservations=(far, near)), EXACT).passed
 
 
-def test_inside_a_reserved_volume_only_the_way_out_is_admitted() -> None:
+def test_inside_a_reserved_volume_not_even_the_way_out_is_admitted() -> None:
+    """Its authority would deny it."""
     scene = situation(reservations=(volume(START, START, radius_m=3.0),))
-    inside = straight(at(1.5), start=at(1.0))
-    assert reservation(inside, scene, EXACT).passed
-    assert number(reservation(inside, scene, EXACT)) == pytest.approx(-2.0 - 0.5 * EXACT.separation_m, abs=0.1)
-    assert not reservation(straight(at(0.5), start=at(1.0)), scene, EXACT).passed
+    inside = reservation(straight(at(1.5), start=at(1.0)), scene, EXACT)
+    assert not inside.passed
+    assert number(inside) == pytest.approx(-2.0 - 0.5 * EXACT.separation_m, abs=0.1)
+
+
+def test_a_lease_counts_that_begins_before_the_plan_must_be_over() -> None:
+    """The plan's own volume is reserved for its longest duration, not for the nominal one."""
+    path = replace(north(), until_s=29.0)
+    for from_s, passed in ((28.9, False), (29.1, True)):
+        ahead = volume(at(1.0), at(1.0), from_s=from_s, until_s=60.0)
+        assert reservation(path, situation(reservations=(ahead,)), EXACT).passed == passed
 
 
 def test_a_hover_reserves_nothing() -> None:
     """Only what it needs itself must be clear: half the separation is in the other's volume."""
     east_m = 1.0 + 0.5 * EXACT.separation_m - 0.01
     beside = volume(at(0.0, east_m), at(0.0, 9.0), radius_m=1.0)
-    assert reservation(hover(), situation(reservations=(beside,)), EXACT).passed
+    here = Path(np.array([START]), np.zeros(1))
+    assert reservation(here, situation(reservations=(beside,)), EXACT).passed
     assert not reservation(straight(at(0.0, 0.5)), situation(reservations=(beside,)), EXACT).passed
 
 

@@ -12,7 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safety import spatial as bounds
+from safety import spatial
 from safety.geofence import Geofence
 from safety.obstacles import Obstacles
 from safety.situation import Situation
@@ -50,37 +50,37 @@ def ramp(slope: float, sigma_m: float = 0.0) -> Terrain:
 
 # Each case: a hover that has exactly `offset` to spare, and the rule that must say so.
 CASES: dict[str, Callable[[float], Finding]] = {
-    "terrain": lambda d: bounds.terrain_clearance(above(EXACT.clearance_m + d), situation(), EXACT),
-    "agl": lambda d: bounds.agl(above(EXACT.min_agl_m + d), situation(), EXACT),
-    "obstacle beside": lambda d: bounds.obstacle_clearance(
+    "terrain": lambda d: spatial.terrain_clearance(above(EXACT.clearance_m + d), situation(), EXACT),
+    "agl": lambda d: spatial.agl(above(EXACT.min_agl_m + d), situation(), EXACT),
+    "obstacle beside": lambda d: spatial.obstacle_clearance(
         HERE, situation(world=world(obstacles=wall(EXACT.obstacle_clearance_m + d))), EXACT
     ),
-    "obstacle below": lambda d: bounds.obstacle_clearance(
+    "obstacle below": lambda d: spatial.obstacle_clearance(
         HERE, situation(world=world(obstacles=wall(-0.5, top_m=10.0 - EXACT.obstacle_clearance_m - d))), EXACT
     ),
-    "obstacle above": lambda d: bounds.obstacle_clearance(
+    "obstacle above": lambda d: spatial.obstacle_clearance(
         HERE,
         situation(world=world(obstacles=wall(-0.5, base_m=10.0 + EXACT.obstacle_clearance_m + d, top_m=50.0))),
         EXACT,
     ),
-    "workspace": lambda d: bounds.workspace(
+    "workspace": lambda d: spatial.workspace(
         HERE, situation(anchor=Anchor(START.plus(Ned(0.0, 3.0, 0.0)), 0.0, NOW_S)), replace(EXACT, workspace_m=3.0 + d)
     ),
-    "workspace upright": lambda d: bounds.workspace(
+    "workspace upright": lambda d: spatial.workspace(
         HERE, situation(anchor=Anchor(START.plus(Ned(0.0, 0.0, 5.0 - d)), 0.0, NOW_S)), EXACT
     ),
-    "session": lambda d: bounds.session(
+    "session": lambda d: spatial.session(
         HERE, situation(session_centre=START.plus(Ned(50.0 - d, 0.0, 0.0))), EXACT
     ),
-    "fence side": lambda d: bounds.geofence(HERE, situation(world=world(geofence=square_fence(half_m=4.0 + d))), replace(EXACT, tracking_m=4.0)),
-    "fence floor": lambda d: bounds.geofence(HERE, situation(world=world(geofence=square_fence(floor_m=10.0 - d))), EXACT),
-    "fence ceiling": lambda d: bounds.geofence(HERE, situation(world=world(geofence=square_fence(ceiling_m=10.0 + d))), EXACT),
-    "no-fly area": lambda d: bounds.geofence(
+    "fence side": lambda d: spatial.geofence(HERE, situation(world=world(geofence=square_fence(half_m=4.0 + d))), replace(EXACT, tracking_m=4.0)),
+    "fence floor": lambda d: spatial.geofence(HERE, situation(world=world(geofence=square_fence(floor_m=10.0 - d))), EXACT),
+    "fence ceiling": lambda d: spatial.geofence(HERE, situation(world=world(geofence=square_fence(ceiling_m=10.0 + d))), EXACT),
+    "no-fly area": lambda d: spatial.geofence(
         HERE,
         situation(world=world(geofence=Geofence.of(shapely.box(-30, -30, 30, 30).difference(shapely.box(4 + d, -5, 9, 5)), 0, 50, 0.0))),
         replace(EXACT, tracking_m=4.0),
     ),
-    "standoff": lambda d: bounds.standoff(HERE, situation(operator=Operator(Ned(-3.0 - d, 0.0, -9.0), 0.0)), EXACT),
+    "standoff": lambda d: spatial.standoff(HERE, situation(operator=Operator(Ned(-3.0 - d, 0.0, -9.0), 0.0)), EXACT),
 }  # fmt: skip
 
 
@@ -113,21 +113,22 @@ def fenced(fence: Geofence) -> Situation:
 
 # Each case: a move of one metre whose end has exactly `offset` to spare, its start one metre more.
 MOVES: dict[str, Callable[[float], Finding]] = {
-    "terrain": lambda d: bounds.terrain_clearance(down(), flat(9.0 - EXACT.clearance_m - d), EXACT),
-    "agl": lambda d: bounds.agl(down(), flat(9.0 - EXACT.min_agl_m - d), EXACT),
-    "obstacle": lambda d: bounds.obstacle_clearance(north(), situation(world=world(obstacles=wall(2.5 + d))), EXACT),
-    "workspace": lambda d: bounds.workspace(
+    "terrain": lambda d: spatial.terrain_clearance(down(), flat(9.0 - EXACT.clearance_m - d), EXACT),
+    "agl": lambda d: spatial.agl(down(), flat(9.0 - EXACT.min_agl_m - d), EXACT),
+    "obstacle": lambda d: spatial.obstacle_clearance(north(), situation(world=world(obstacles=wall(2.5 + d))), EXACT),
+    "workspace": lambda d: spatial.workspace(
         north(), situation(anchor=Anchor(START.plus(Ned(d - 4.0, 0.0, 0.0)), 0.0, NOW_S)), EXACT
     ),
-    "session": lambda d: bounds.session(
+    "session": lambda d: spatial.session(
         north(), situation(session_centre=START.plus(Ned(d - 49.0, 0.0, 0.0))), EXACT
     ),
-    "fence side": lambda d: bounds.geofence(north(), fenced(Geofence.of(shapely.box(-9.0, -9.0, 1.0 + d, 9.0), 0.0, 40.0, 0.0)), EXACT),
-    "fence floor": lambda d: bounds.geofence(down(), fenced(square_fence(floor_m=9.0 - d)), EXACT),
-    "standoff": lambda d: bounds.standoff(north(), situation(operator=Operator(Ned(4.0 + d, 0.0, 0.0), 0.0)), EXACT),
+    "fence side": lambda d: spatial.geofence(north(), fenced(Geofence.of(shapely.box(-9.0, -9.0, 1.0 + d, 9.0), 0.0, 40.0, 0.0)), EXACT),
+    "fence floor": lambda d: spatial.geofence(down(), fenced(square_fence(floor_m=9.0 - d)), EXACT),
+    "standoff": lambda d: spatial.standoff(north(), situation(operator=Operator(Ned(4.0 + d, 0.0, 0.0), 0.0)), EXACT),
 }  # fmt: skip
 
 
+@pytest.mark.requirement("R3", "R4", "R7", "G2", "G4", "G5", "X1", "X2")
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize("case", MOVES)
 def test_a_move_passes_exactly_up_to_the_limit(case: str, offset: float) -> None:
@@ -138,15 +139,15 @@ def test_a_move_passes_exactly_up_to_the_limit(case: str, offset: float) -> None
 
 
 AWAY: dict[str, Callable[[Path], Finding]] = {
-    "obstacle": lambda p: bounds.obstacle_clearance(p, situation(world=world(obstacles=wall(0.5))), EXACT),
-    "workspace": lambda p: bounds.workspace(
+    "obstacle": lambda p: spatial.obstacle_clearance(p, situation(world=world(obstacles=wall(0.5))), EXACT),
+    "workspace": lambda p: spatial.workspace(
         p, situation(anchor=Anchor(START.plus(Ned(-9.0, 0.0, 0.0)), 0.0, NOW_S)), EXACT
     ),
-    "session": lambda p: bounds.session(p, situation(session_centre=START.plus(Ned(-60.0, 0.0, 0.0))), EXACT),
-    "geofence": lambda p: bounds.geofence(
+    "session": lambda p: spatial.session(p, situation(session_centre=START.plus(Ned(-60.0, 0.0, 0.0))), EXACT),
+    "geofence": lambda p: spatial.geofence(
         p, fenced(Geofence.of(shapely.box(-9.0, -9.0, 0.5, 9.0), 0.0, 40.0, 0.0)), replace(EXACT, tracking_m=1.0)
     ),
-    "standoff": lambda p: bounds.standoff(p, situation(operator=Operator(Ned(2.0, 0.0, 0.0), 0.0)), EXACT),
+    "standoff": lambda p: spatial.standoff(p, situation(operator=Operator(Ned(2.0, 0.0, 0.0), 0.0)), EXACT),
 }
 
 
@@ -173,15 +174,15 @@ def test_mending_one_obstacle_does_not_excuse_closing_in_on_another() -> None:
         0.0,
     )
     here = situation(world=world(obstacles=between_walls))
-    found = bounds.obstacle_clearance(north(0.1), here, EXACT)
+    found = spatial.obstacle_clearance(north(0.1), here, EXACT)
     assert not found.passed
     assert "mill" in found.text
-    assert bounds.obstacle_clearance(hover(), here, EXACT).passed
+    assert spatial.obstacle_clearance(hover(), here, EXACT).passed
 
 
 def test_an_operators_word_for_an_obstacle_is_in_the_sentence() -> None:
     named = wall(2.0, name="the {old} oak")
-    found = bounds.obstacle_clearance(north(), situation(world=world(obstacles=named)), EXACT)
+    found = spatial.obstacle_clearance(north(), situation(world=world(obstacles=named)), EXACT)
     assert found.text == "0.5 m too close to the {old} oak"
     assert not found.passed
 
@@ -191,7 +192,7 @@ def test_the_whole_path_counts_not_its_end() -> None:
     mast = Obstacles.of(["mast"], [shapely.box(0.45, -0.1, 0.55, 0.1)], [0.0], [30.0], 0.0)
     jump = straight(START.plus(Ned(1.0, 0.0, 0.0)), n=2)
     tight = replace(EXACT, obstacle_clearance_m=0.0)
-    assert not bounds.obstacle_clearance(jump, situation(world=world(obstacles=mast)), tight).passed
+    assert not spatial.obstacle_clearance(jump, situation(world=world(obstacles=mast)), tight).passed
     heights = np.zeros((41, 41))
     heights[20, 20] = 20.0
     spike = Terrain(heights, (-20.0 + 0.5, -20.0), ((1.0, 0.0), (0.0, 1.0)), 0.0, 0.0)
@@ -200,8 +201,8 @@ def test_the_whole_path_counts_not_its_end() -> None:
     high = Ned(-1.5, 0.0, -8.0)
     over = straight(Ned(2.5, 0.0, -8.0), start=high, n=2)
     assert spike.agl_m(over.points_ned_m).min() == pytest.approx(8.0)
-    assert not bounds.terrain_clearance(over, spiked, low).passed
-    assert not bounds.agl(over, spiked, low).passed
+    assert not spatial.terrain_clearance(over, spiked, low).passed
+    assert not spatial.agl(over, spiked, low).passed
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 3.0])
@@ -215,7 +216,7 @@ def test_true_height_keeps_the_minimum_wherever_the_drone_may_be(slope: float, s
     low, high = 0.0, 60.0
     while high - low > 1e-6:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if number(bounds.agl(above(middle), hillside, limits)) >= 0.0 else (middle, high)
+        low, high = (low, middle) if number(spatial.agl(above(middle), hillside, limits)) >= 0.0 else (middle, high)
     wrong_m = limits.sigma_k * 0.2 + limits.sigma_k * 0.1 + limits.sigma_k * sigma_h_m * slope
     truly = high - wrong_m - limits.tracking_m * math.hypot(1.0, slope)
     by_clearance = high / math.hypot(1.0, slope) - limits.sigma_k * (max(sigma_h_m, 0.2) + 0.1) - limits.tracking_m
@@ -239,8 +240,8 @@ def test_more_uncertainty_never_gives_a_larger_margin(
             paired_at_s=NOW_S - 300.0,
         )
         rules = (
-            bounds.terrain_clearance, bounds.agl, bounds.obstacle_clearance, bounds.workspace, bounds.session,
-            bounds.geofence, bounds.standoff,
+            spatial.terrain_clearance, spatial.agl, spatial.obstacle_clearance, spatial.workspace, spatial.session,
+            spatial.geofence, spatial.standoff,
         )  # fmt: skip
         return [number(rule(north(), scene, LIMITS)) for rule in rules]
 
@@ -261,35 +262,35 @@ def test_margins_are_continuous_in_where_the_path_is(
     a = straight(Ned(*here).plus(Ned(1.0, 0.0, 0.0)), start=Ned(*here))
     b = Path(a.points_ned_m + shift, a.times_s)
     for rule in (
-        bounds.terrain_clearance, bounds.obstacle_clearance, bounds.workspace, bounds.session, bounds.geofence,
-        bounds.standoff,
+        spatial.terrain_clearance, spatial.obstacle_clearance, spatial.workspace, spatial.session, spatial.geofence,
+        spatial.standoff,
     ):  # fmt: skip
         assert abs(number(rule(a, scene, LIMITS)) - number(rule(b, scene, LIMITS))) <= moved + 1e-6
     # Height above ground may change faster than one moves, by the slope.
     stretched = moved * math.hypot(1.0, 0.4)
-    assert abs(number(bounds.agl(a, scene, LIMITS)) - number(bounds.agl(b, scene, LIMITS))) <= stretched + 1e-6
+    assert abs(number(spatial.agl(a, scene, LIMITS)) - number(spatial.agl(b, scene, LIMITS))) <= stretched + 1e-6
 
 
 def test_only_the_drift_since_then_counts_against_relative_limits() -> None:
     far = Anchor(START.plus(Ned(3.0, 0.0, 0.0)), 0.0, NOW_S)
     unsure = vehicle(sigma_h_m=1.0, sigma_v_m=1.0)
-    assert number(bounds.workspace(HERE, situation(vehicle=unsure, anchor=far), EXACT)) == pytest.approx(2.0)
+    assert number(spatial.workspace(HERE, situation(vehicle=unsure, anchor=far), EXACT)) == pytest.approx(2.0)
     later = replace(far, at_s=NOW_S - 10.0)
-    found = number(bounds.workspace(HERE, situation(vehicle=unsure, anchor=later), EXACT))
+    found = number(spatial.workspace(HERE, situation(vehicle=unsure, anchor=later), EXACT))
     assert found == pytest.approx(2.0 - EXACT.sigma_k * EXACT.drift_m_s * 10.0)
     long_ago = replace(far, at_s=NOW_S - 1e6)
-    found = number(bounds.workspace(HERE, situation(vehicle=unsure, anchor=long_ago), EXACT))
+    found = number(spatial.workspace(HERE, situation(vehicle=unsure, anchor=long_ago), EXACT))
     assert found == pytest.approx(2.0 - EXACT.sigma_k * 1.0)
 
 
 ALL = (
-    bounds.terrain_clearance,
-    bounds.agl,
-    bounds.obstacle_clearance,
-    bounds.workspace,
-    bounds.session,
-    bounds.geofence,
-    bounds.standoff,
+    spatial.terrain_clearance,
+    spatial.agl,
+    spatial.obstacle_clearance,
+    spatial.workspace,
+    spatial.session,
+    spatial.geofence,
+    spatial.standoff,
 )
 
 
@@ -324,7 +325,7 @@ def test_unknown_terrain_is_refused_with_its_reason() -> None:
     nothing = situation(world=world(terrain=None))
     edge = situation(world=world(terrain=Terrain(np.zeros((3, 3)), (-1.0, -1.0), ((1, 0), (0, 1)), 0.0, 0.0)))
     unsure = situation(world=world(terrain=Terrain.flat(0.0, math.nan, 0.0)))
-    for rule in (bounds.terrain_clearance, bounds.agl):
+    for rule in (spatial.terrain_clearance, spatial.agl):
         for scene, reason in ((nothing, "no terrain model"), (edge, "no terrain data"), (unsure, "states no accuracy")):
             found = rule(north(3.0), scene, LIMITS)
             assert not found.passed
@@ -337,13 +338,13 @@ def test_data_must_reach_as_far_as_clearance_is_required(offset: float) -> None:
     half = 2.0
     grid = Terrain(np.zeros((3, 3)), (-half, -half), ((half, 0.0), (0.0, half)), 0.0, 0.0)
     limits = replace(EXACT, clearance_m=half - offset)
-    found = bounds.terrain_clearance(hover(), situation(world=world(terrain=grid)), limits)
+    found = spatial.terrain_clearance(hover(), situation(world=world(terrain=grid)), limits)
     assert found.passed == (offset >= 0.0)
     assert found.passed or (found.margin is None and "no terrain data" in found.text)
 
 
 def test_what_is_not_declared_does_not_exist() -> None:
-    for rule in (bounds.obstacle_clearance, bounds.geofence):
+    for rule in (spatial.obstacle_clearance, spatial.geofence):
         found = rule(north(), situation(), LIMITS)
         assert found.passed
         assert found.margin is None

@@ -35,6 +35,8 @@ from safety.vocabulary import (
 )  # fmt: skip
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, square_fence, vehicle, wall, world
 
+pytestmark = pytest.mark.requirement("R3", "R4", "R5", "R6", "R7", "R8", "R11", "P2", "P3", "X6", "X13")
+
 MOVES = [Command.GO_LEFT, Command.GO_RIGHT, Command.GO_FORWARD, Command.GO_BACK, Command.GO_UP, Command.GO_DOWN]
 """The scene's operator is 10 m south of the drone, so forward is north."""
 
@@ -57,6 +59,7 @@ def facing(**changes: Any) -> Situation:
 # ---------------------------------------------------------------- approved
 
 
+@pytest.mark.requirement("R1", "R2")
 @pytest.mark.parametrize("command", list(PRIMITIVE_OF))
 def test_in_the_open_everything_is_approved_whole(command: Command) -> None:
     """R1, R2: every command is its own primitive, and yields a plan of that, judged by every rule."""
@@ -104,6 +107,7 @@ UNKNOWN: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("missing", list(UNKNOWN))
 @pytest.mark.parametrize("command", [Command.GO_LEFT, Command.GO_DOWN, Command.TURN_LEFT])
 def test_what_is_unknown_is_never_a_yes(missing: str, command: Command) -> None:
@@ -115,6 +119,7 @@ def test_what_is_unknown_is_never_a_yes(missing: str, command: Command) -> None:
     assert all(f.text and "nan" not in f.text for f in decision.failing)
 
 
+@pytest.mark.requirement("P2", "G1")
 @pytest.mark.parametrize("confidence", [0.69999, 0.0, -0.1, 1.1, NO])
 def test_doubtful_input_is_rejected(confidence: float) -> None:
     """P2, G1."""
@@ -143,6 +148,7 @@ def is_safe(command: Command, length_m: float, about: Situation, limits: Limits 
     return safe(assess(propose(intent, about, limits), request, about, limits))
 
 
+@pytest.mark.requirement("P3")
 @settings(max_examples=25)
 @given(st.floats(1.5, 5.0), st.floats(0.0, 0.5))
 def test_reduced_is_the_longest_safe_one_at_a_wall(wall_m: float, sigma_m: float) -> None:
@@ -191,6 +197,7 @@ def test_reduced_is_the_longest_safe_one_above_the_ground(height_m: float, sigma
         no_less_safe(decision)
 
 
+@pytest.mark.requirement("X11")
 @settings(max_examples=25)
 @given(st.floats(0.0, 0.6), st.floats(0.0, 0.6), st.floats(1.6, 4.5), st.sampled_from(MOVES))
 def test_more_uncertainty_never_permits_more(a: float, b: float, wall_m: float, command: Command) -> None:

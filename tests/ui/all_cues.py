@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
-from m3r_app.modes import MODE_OF, TRANSITIONS
+from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS
 from safety.constraints import RULES
 from safety.vocabulary import Command, Modality, Verdict
 from ui.cues import _ANNOUNCED, Cues

@@ -11,13 +11,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from m3r_app.scenario import SHIPPED
-from m3r_app.vehicle.fleet import SimulatedFleet
+from m3r_app.environment.scenario import SHIPPED
+from m3r_app.sim.process import SimulatedFleet
 from modalities.voice.audio import SAMPLE_RATE_HZ, quiet, read_audio
 from modalities.voice.devices import look_again
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
 from ui.check import command as check_module
-from ui.check import devices as check_devices
+from ui.check import devices
 from ui.check.command import PARTS, check, show
 from ui.check.findings import Finding, State, Wanted, shown
 
@@ -106,7 +106,7 @@ def test_no_voice_model_says_how_to_get_one(no_model: None) -> None:
 
 def test_what_is_not_built_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check_module, "module", lambda _name: None)
-    monkeypatch.setattr(check_devices, "module", lambda _name: None)
+    monkeypatch.setattr(devices, "module", lambda _name: None)
     assert found("hand model")[0].state is State.NOT_BUILT
     assert found("camera")[0].state is State.NOT_BUILT
 
@@ -148,8 +148,8 @@ def cameras(monkeypatch: pytest.MonkeyPatch, numbers: list[int], rate_hz: dict[i
     module = SimpleNamespace(
         Camera=Camera, VideoError=VideoError, camera_address=lambda text: int(text.removeprefix("camera:"))
     )
-    monkeypatch.setattr(check_devices, "module", lambda _name: module)
-    monkeypatch.setattr(check_devices, "camera_numbers", lambda: numbers)
+    monkeypatch.setattr(devices, "module", lambda _name: module)
+    monkeypatch.setattr(devices, "camera_numbers", lambda: numbers)
     monkeypatch.setattr("os.access", lambda *_: True)
 
 
@@ -167,7 +167,7 @@ def test_a_camera_that_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     monkeypatch.setattr("os.access", lambda *_: False)
     assert found("camera")[0].remedy == "add yourself to the group video"
-    monkeypatch.setattr(check_devices, "camera_numbers", list)
+    monkeypatch.setattr(devices, "camera_numbers", list)
     assert "no /dev/video*" in found("camera")[0].text
 
 

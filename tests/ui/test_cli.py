@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from m3r_app.modes import mermaid
+from m3r_app.arbiter.modes import mermaid
 from m3r_app.options import RunOptions
-from m3r_app.recorder import RecordError
+from m3r_app.record.recorder import RecordError
 from safety.vocabulary import Geodetic, Mode
 from ui import cli
 
@@ -195,18 +195,18 @@ def test_whatever_is_raised_is_one_sentence(
     def fail() -> str:
         raise error
 
-    monkeypatch.setattr("m3r_app.modes.mermaid", fail)
+    monkeypatch.setattr("m3r_app.arbiter.modes.mermaid", fail)
     assert cli.main(["modes"]) == status
     assert capsys.readouterr().err == said
 
 
 def test_no_vehicle_is_status_3(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from m3r_app.vehicle.mavsdk_vehicle import VehicleError
+    from m3r_app.vehicle.interface import VehicleError
 
     def fail() -> str:
         raise VehicleError("red does not answer")
 
-    monkeypatch.setattr("m3r_app.modes.mermaid", fail)
+    monkeypatch.setattr("m3r_app.arbiter.modes.mermaid", fail)
     assert cli.main(["modes"]) == 3
     assert capsys.readouterr().err == "m3r: red does not answer\n"
 
@@ -215,7 +215,7 @@ def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> str:
         raise KeyError("left")
 
-    monkeypatch.setattr("m3r_app.modes.mermaid", fail)
+    monkeypatch.setattr("m3r_app.arbiter.modes.mermaid", fail)
     monkeypatch.setenv("M3R_DEBUG", "1")
     with pytest.raises(KeyError):
         cli.main(["modes"])

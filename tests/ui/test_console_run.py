@@ -117,7 +117,17 @@ def test_stop_of_another_modality_ends_a_take_off_from_the_console(tmp_path: Pat
     script = tmp_path / "said.txt"
     script.write_text("5.0 voice stop\n")
     with simulated(HILLSIDE, tmp_path) as fleet:
-        words = ["console", "--quiet", "--takeoff", "20", "--script", str(script), "--scenario", str(HILLSIDE)]
+        words = [
+            "console",
+            "--quiet",
+            "--takeoff",
+            "20",
+            "--apply-failsafe",
+            "--script",
+            str(script),
+            "--scenario",
+            str(HILLSIDE),
+        ]
         screen = Terminal(*words, *fleet.vehicles)
         screen.until(lambda: "no drone paired" in screen.words, "a picture")
         screen.type("o")

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from m3r_app.environment.ground import Ground
-from m3r_app.recorder import SCHEMA_VERSION, Recorder, read_record
+from m3r_app.record.recorder import SCHEMA_VERSION, Recorder, read_record
 from ui.cli import main
 from ui.report import MARK, ReportError, shown, write_report
 
-pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
+pytestmark = pytest.mark.xdist_group("screen")  # one at a time, so that what is drawn is drawn in time
 
 HOSTILE = "</script><script>document.title='owned'</script><img src=x onerror=alert(1)>"
 METADATA: dict[str, object] = {

@@ -6,12 +6,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from m3r_app.events import ArbiterState
+from m3r_app.arbiter.events import ArbiterState
 from m3r_app.snapshot import heard_of
 from safety.vocabulary import Neighbours
 from tests.ui.console_stage import SMALL, flying_picture, hillside
 from ui.console import panels
+
+pytestmark = pytest.mark.requirement("R5", "R11")
 
 NAN = (math.nan, math.nan, math.nan)
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from m3r_app.options import RunOptions
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from ui import cli
 from ui import speaker as speaker_module
 from ui.cues import Cue
@@ -53,10 +53,10 @@ class Spoken:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.own_voice = OwnVoice()
+        self.self_speech = SelfSpeech()
         self.sentences: list[str] = []
         self.rung: list[int] = []
-        self.speaker = Speaker(cue_of, self.own_voice, self.sentences.append, ring=lambda: self.rung.append(1))
+        self.speaker = Speaker(cue_of, self.self_speech, self.sentences.append, ring=lambda: self.rung.append(1))
 
     def cue(self, text: str, *, urgent: bool = False) -> None:
         self.speaker.hear({"cue": Cue(text, urgent)})
@@ -70,7 +70,7 @@ class Spoken:
         until(lambda: self.log == list(lines), f"{self.log} is not {lines}")
 
     def silent(self) -> bool:
-        return not self.own_voice.overlaps(time.monotonic() + 1.0, time.monotonic() + 1.0)
+        return not self.self_speech.overlaps(time.monotonic() + 1.0, time.monotonic() + 1.0)
 
 
 @pytest.fixture
@@ -273,12 +273,12 @@ def test_when_cues_are_spoken(
     """The app is told of every word of it, by its own clock."""
     known: list[bool] = []
 
-    async def run(options: RunOptions, emit: Callable[[dict[str, object]], None], own_voice: OwnVoice) -> int:
+    async def run(options: RunOptions, emit: Callable[[dict[str, object]], None], self_speech: SelfSpeech) -> int:
         assert options.aloud is aloud
         emit({"t": 0.0, "event": "pair", "vehicle": "red", "status": "requested", "reasons": []})
         if aloud:
             until(lambda: spoken.log == ["begin Red: pairing"], "it is not spoken")
-        known.append(own_voice.overlaps(time.monotonic(), time.monotonic()))
+        known.append(self_speech.overlaps(time.monotonic(), time.monotonic()))
         return 0
 
     monkeypatch.setattr("m3r_app.run.run", run)

@@ -46,7 +46,7 @@ def air(wanted: Wanted) -> Iterator[Finding]:
 
 async def _visit(broker: Broker, who: Credentials) -> tuple[float, bool]:
     """How long connecting took (ms), and whether the authority was heard. Raises AirError."""
-    from m3r_app.airspace.signed_channel import Exchange, Received
+    from m3r_app.airspace.signed_channel import Received, SignedChannel
     from m3r_app.airspace.topics import HeldTopic
 
     heard = asyncio.Event()
@@ -56,7 +56,7 @@ async def _visit(broker: Broker, who: Credentials) -> tuple[float, bool]:
             exchange.link.echoed()
             heard.set()
 
-    exchange = Exchange(broker, who, take, lambda _: None)
+    exchange = SignedChannel(broker, who, take, lambda _: None)
     exchange.listen((str(HeldTopic(who.area)),))
     began_s = time.monotonic()
     link = asyncio.create_task(exchange.link.run())

@@ -142,15 +142,14 @@ def _hand_model(_wanted: Wanted) -> Iterator[Finding]:
 
 
 def _ports(wanted: Wanted) -> Iterator[Finding]:
-    from m3r_app.vehicle.fleet import PORTS, free_udp_block
-    from m3r_app.vehicle.mavsdk_vehicle import VehicleError
+    from m3r_app.ports import PORTS, LinkError, free_udp_block
 
     if wanted.vehicles:
         return  # the simulated fleet is not flown beside real ones
     try:
         port = free_udp_block(3)
-    except VehicleError as error:
-        yield Finding("UDP ports", State.MISSING, *parts_of(str(error)))
+    except LinkError as error:
+        yield Finding("UDP ports", State.MISSING, *parts_of(f"{error} for the simulated fleet"))
     else:
         yield Finding(
             "UDP ports", State.WORKS, f"free for the simulated fleet, such as {port} (of {PORTS[0]} to {PORTS[1]})"
@@ -164,7 +163,8 @@ def _vehicles(wanted: Wanted) -> Iterator[Finding]:
 
 async def _answer(colour: str, url: str) -> Finding:
     """Whether a vehicle answers, and what it says of itself. Nothing is commanded."""
-    from m3r_app.vehicle.mavsdk_vehicle import Vehicle, VehicleError
+    from m3r_app.vehicle.interface import VehicleError
+    from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 
     part = f"vehicle {colour}"
     try:

@@ -63,12 +63,12 @@ def mirror(wanted: Wanted) -> Iterator[Finding]:
 def _pointed(address: Any, model: Any) -> Command | None:
     """What somebody who points is taken to mean in an unmirrored picture; None: nobody did. Raises VideoError, ModelError."""
     from modalities.hands.camera import Camera
-    from modalities.hands.dwell import Hold
+    from modalities.hands.dwell import DwellFilter
     from modalities.hands.gestures import read_hands
     from modalities.hands.landmarker import HandDetector
 
     stopping = threading.Event()
-    hold = Hold()
+    hold = DwellFilter()
     with silence(), HandDetector(model) as detector:
         camera = Camera(address, clock=time.monotonic)
         giving_up = threading.Timer(POINT_S, stopping.set)

@@ -128,5 +128,7 @@ def _ago(last: tuple[float, float] | None, now_s: float) -> str:
 
 def _number(margin: Margin) -> str:
     assert margin.value is not None
+    if margin.shown:
+        return margin.shown
     places = 0 if margin.unit == "%" else 2
     return f"{margin.value:+.{places}f} {margin.unit}"

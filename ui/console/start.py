@@ -12,7 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.run_thread import Live
-from modalities.voice.self_speech import OwnVoice
+from modalities.voice.self_speech import SelfSpeech
 from ui.console.app import KEPT_EVENTS, Console
 from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal
@@ -80,9 +80,9 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
     def trouble(text: str) -> None:
         take({"t": time.monotonic() - began_s, "event": "announce", "text": text})
 
-    own_voice, began_s = OwnVoice(), time.monotonic()
-    with speaking(options, own_voice, trouble, take) as emit:
-        status = _shown(options, Live(options, emit, own_voice), events, seat)
+    self_speech, began_s = SelfSpeech(), time.monotonic()
+    with speaking(options, self_speech, trouble, take) as emit:
+        status = _shown(options, Live(options, emit, self_speech), events, seat)
     try:
         print("\n".join(ended), flush=True)
     except OSError:  # nobody is there any more to read it

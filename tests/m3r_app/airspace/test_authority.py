@@ -15,6 +15,8 @@ from m3r_app.airspace.authority import CLAIM_S, CLAIMS_MAX, LEASES_MAX, WANTED_S
 from safety.vocabulary import Ned, ReservedVolume
 from safety.volumes import volumes_meet
 
+pytestmark = pytest.mark.requirement("R5", "P1", "X8", "X10")
+
 NEW = Authority()
 
 

@@ -16,7 +16,7 @@ import aiomqtt
 import numpy as np
 import pytest
 
-from m3r_app.airspace import mqtt_connection as link
+from m3r_app.airspace import mqtt_connection
 from m3r_app.airspace.authority import CLAIM_S
 from m3r_app.airspace.credentials import AirError, load_credentials, parse_broker, tls_context
 from m3r_app.airspace.service import LISTEN_S, AirspaceService
@@ -28,7 +28,7 @@ from tests.air import HERE, ROOT, App, Broker, Proxy, app, authority, broker, un
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 RED, BLUE = Ned(0.0, 0.0, -10.0), Ned(30.0, 0.0, -10.0)
-pytestmark = pytest.mark.xdist_group("air")
+pytestmark = [pytest.mark.xdist_group("air"), pytest.mark.requirement("R5", "R11", "P1", "X8", "X10")]
 
 
 @pytest.fixture
@@ -132,6 +132,7 @@ async def _settled(claim, drone: str) -> str | None:
     return answer
 
 
+@pytest.mark.requirement("X10")
 async def test_a_partition_is_noticed_and_never_makes_two_holders(air: Broker, tmp_path: Path) -> None:
     """Ours ends before anybody else can have it, though nobody closes a connection. Source: X10."""
     async with (
@@ -308,7 +309,7 @@ async def test_noise_on_every_topic_harms_nobody(air: Broker, tmp_path: Path, co
             await until(lambda: sum(last.values()) + alice.link.overflowed >= 0.7 * count, 60.0)
         assert alice.neighbours("red").names == ("blue",) and bob.sees("blue", "red")
         assert alice.shared.lost("red") is None and (tmp_path / "memory").read_bytes() == before
-        assert len(alice.shared._exchange.verifier._last) <= 8 and len(alice.shared._pending) <= 8
+        assert len(alice.shared._channel.verifier._last) <= 8 and len(alice.shared._pending) <= 8
         assert await bob.claim("green") is None, "the authority still grants"
 
 
@@ -422,7 +423,7 @@ async def test_a_broker_that_takes_nothing_is_said_and_nothing_piles_up(air: Bro
 async def test_more_than_can_be_read_is_dropped_and_said(
     air: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "INBOX", 1)
+    monkeypatch.setattr(mqtt_connection, "INBOX", 1)
     async with authority(air, tmp_path / "memory"), app(air, "alice", red=RED) as alice:
         await until(lambda: alice.feed_age_s("red") < 0.5)
         async with await intruder(air) as client:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m3r_app.airspace import signatures as signing
+from m3r_app.airspace import signatures
 from m3r_app.airspace.signatures import WINDOW_S, Dropped, Signer, Verifier
 
 KEY, OTHER = bytes(range(32)), bytes(32)
@@ -96,7 +96,7 @@ def test_a_time_that_is_far_off_is_dropped_but_known_to_be_real(ahead_s: float, 
 
 
 def test_memory_is_bounded_and_forgetting_lets_no_replay_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signing, "LIVES_MAX", 8)
+    monkeypatch.setattr(signatures, "LIVES_MAX", 8)
     clock = Clock()
     verifier = Verifier({"drone.red": KEY}, clock)
     old = Signer("drone.red", KEY, clock).seal("t", b"old")

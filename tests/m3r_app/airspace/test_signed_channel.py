@@ -15,7 +15,7 @@ from m3r_app.airspace.credentials import Broker, Credentials
 from m3r_app.airspace.messages import LIMIT_BYTES
 from m3r_app.airspace.mqtt_connection import Arrived
 from m3r_app.airspace.signatures import Signer
-from m3r_app.airspace.signed_channel import Exchange, Received
+from m3r_app.airspace.signed_channel import Received, SignedChannel
 from m3r_app.airspace.topics import AnswerTopic, AskTopic, HeldTopic, StateTopic
 
 COUNT = 100_000 if os.environ.get("M3R_SOAK") == "1" else 4_000
@@ -43,7 +43,7 @@ class Office:
         who = Credentials(user="operator.alice", password="x", area="field", ca=None, flies=[], keys=keys)
         self.taken: list[Received] = []
         self.doubted: list[tuple[str, str]] = []
-        self.exchange = Exchange(
+        self.exchange = SignedChannel(
             Broker("127.0.0.1", 1, tls=False), who, self.taken.append, lambda _: None,
             doubt=lambda *doubt: self.doubted.append(doubt),
         )  # fmt: skip

@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 
 from m3r_app.airspace.messages import State
-from m3r_app.airspace.state_publisher import PERIOD_S, Teller
+from m3r_app.airspace.state_publisher import PERIOD_S, StatePublisher
 from m3r_app.airspace.topics import StateTopic, cell_of, cells_near
 from safety.vocabulary import Geodetic, Ned
+
+pytestmark = pytest.mark.requirement("R5", "R11", "X6")
 
 HERE, STILL = Geodetic(46.679, 7.863, 580.0), Ned(0.0, 0.0, 0.0)
 
@@ -21,7 +23,7 @@ class Told:
     def __init__(self) -> None:
         self.now_s = 100.0
         self.sent: list[tuple[StateTopic, State]] = []
-        self.teller = Teller(self, lambda: self.now_s)  # type: ignore[arg-type]
+        self.publisher = StatePublisher(self, lambda: self.now_s)  # type: ignore[arg-type]
 
     def may_sign(self, key_id: str) -> bool:
         return key_id == "drone.red"
@@ -35,13 +37,13 @@ def test_a_state_is_told_ten_times_a_second_at_most() -> None:
     told = Told()
     for step in range(50):
         told.now_s = 100.0 + 0.02 * step
-        told.teller.tell("red", HERE, STILL, 0.3, 0.01)
+        told.publisher.tell("red", HERE, STILL, 0.3, 0.01)
     assert 9 <= len(told.sent) <= 10 + 1
     assert told.sent[0][0] == StateTopic(cell_of(HERE), "red")
-    assert told.teller.near == cells_near(HERE)
-    assert told.teller.tells
+    assert told.publisher.near == cells_near(HERE)
+    assert told.publisher.tells
     told.now_s += 1.0 + PERIOD_S
-    assert not told.teller.tells
+    assert not told.publisher.tells
 
 
 @pytest.mark.parametrize("bad", [
@@ -51,11 +53,11 @@ def test_a_state_is_told_ten_times_a_second_at_most() -> None:
 def test_what_is_not_known_is_not_told(bad: dict[str, Any]) -> None:
     told = Told()
     whole: dict[str, Any] = {"place": HERE, "velocity": STILL, "sigma_m": 0.3, "age_s": 0.01}
-    told.teller.tell("red", **whole | bad)
+    told.publisher.tell("red", **whole | bad)
     assert told.sent == []
 
 
 def test_a_drone_of_somebody_else_is_listened_about_but_not_told() -> None:
     told = Told()
-    told.teller.tell("blue", HERE, STILL, 0.3, 0.01)
-    assert told.sent == [] and told.teller.near == cells_near(HERE)
+    told.publisher.tell("blue", HERE, STILL, 0.3, 0.01)
+    assert told.sent == [] and told.publisher.near == cells_near(HERE)

@@ -19,6 +19,8 @@ from m3r_app.airspace.store import Store
 from safety.vocabulary import Ned, ReservedVolume
 from tests.air import LACKING, MOSQUITTO, ROOT
 
+pytestmark = pytest.mark.requirement("X10")
+
 VOLUME = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 4.0)
 INBOX, OTHER = "a" * 16, "b" * 16
 

@@ -42,6 +42,8 @@ from m3r_app.airspace.topics import (
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, ReservedVolume
 
+pytestmark = pytest.mark.requirement("R5", "R11")
+
 STATE = '{"place":{"lat_deg":46.0,"lon_deg":7.0,"amsl_m":580.0},"velocity":{"north_m_s":0,"east_m_s":0.5,"down_m_s":0},"sigma_m":0.3,"age_s":0.02}'
 LONGEST = "a" + "b" * 31
 CELL = "881f8edb2bfffff"

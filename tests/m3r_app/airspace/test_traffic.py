@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from m3r_app.airspace import traffic as module
 from m3r_app.airspace.messages import Place, State, Velocity
 from m3r_app.airspace.topics import cells_near
-from m3r_app.airspace.traffic import DOUBT_S, FORGET_S, SPEED_MAX_M_S, TRANSIT_S, Sky
+from m3r_app.airspace.traffic import DOUBT_S, FORGET_S, SPEED_MAX_M_S, TRANSIT_S, RemoteTraffic
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, Neighbours
+
+pytestmark = pytest.mark.requirement("R5", "R11", "X6")
 
 HERE = Geodetic(46.679, 7.863, 580.0)
 FRAME = LocalFrame(HERE)
@@ -32,7 +34,7 @@ class Watched:
 
     def __init__(self) -> None:
         self.said: list[str] = []
-        self.sky = Sky(self.said.append)
+        self.sky = RemoteTraffic(self.said.append)
 
     def heard(self, now_s: float, one: State, drone: str = "blue", life: str = "a", early_s: float = 0.0) -> None:
         self.sky.heard(drone, life, one, early_s, now_s)

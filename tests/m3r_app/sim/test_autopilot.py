@@ -8,8 +8,10 @@ from random import Random
 
 import pytest
 
-from m3r_app.sim.autopilot import FORCE, TICK_S, Answer, Autopilot, Fault, FlightMode
+from m3r_app.sim.autopilot import FORCE, Autopilot
 from m3r_app.sim.dynamics import ZERO, Multirotor, PositionError, Setpoint
+from m3r_app.sim.guidance import TICK_S
+from m3r_app.sim.modes import Fault, FlightMode, MavResult
 from m3r_app.sim.parameters import INT32, REAL32, Parameters
 from safety.vocabulary import Ned
 
@@ -45,7 +47,7 @@ def texts(pilot: Autopilot) -> str:
 
 def offboard(pilot: Autopilot, goal: Ned = UP) -> None:
     pilot.offboard_setpoint(Setpoint(position=goal, yaw_deg=0.0))
-    assert pilot.set_mode(6, 0) is Answer.ACCEPTED
+    assert pilot.set_mode(6, 0) is MavResult.ACCEPTED
 
 
 # Arming, take-off, landing
@@ -54,28 +56,28 @@ def offboard(pilot: Autopilot, goal: Ned = UP) -> None:
 def test_arms_and_disarms_by_itself_after_10_s_on_the_ground() -> None:
     pilot = autopilot(ZERO)
     assert not pilot.armed and not pilot.in_air
-    assert pilot.arm(force=False) is Answer.ACCEPTED
+    assert pilot.arm(force=False) is MavResult.ACCEPTED
     assert until(pilot, lambda: not pilot.armed, 12.0) == pytest.approx(10.0, abs=0.1)
     assert "auto preflight disarming" in texts(pilot)
 
 
 def test_takes_off_to_the_parameters_height_and_holds() -> None:
     pilot = autopilot(ZERO, MIS_TAKEOFF_ALT=4.0)
-    assert pilot.take_off() is Answer.ACCEPTED
+    assert pilot.take_off() is MavResult.ACCEPTED
     run(pilot, 2.0)
     assert not pilot.in_air and pilot.mode is FlightMode.TAKEOFF
-    assert pilot.arm(force=False) is Answer.ACCEPTED
+    assert pilot.arm(force=False) is MavResult.ACCEPTED
     until(pilot, lambda: pilot.mode is FlightMode.LOITER, 8.0)
     run(pilot, 5.0)
     assert pilot.position == pytest.approx((0.0, 0.0, -4.0), abs=0.05)
-    assert pilot.take_off() is Answer.TEMPORARILY_REJECTED
+    assert pilot.take_off() is MavResult.TEMPORARILY_REJECTED
 
 
 def test_is_disarmed_in_the_air_only_by_force() -> None:
     pilot = autopilot()
-    assert pilot.disarm(force=False) is Answer.TEMPORARILY_REJECTED
+    assert pilot.disarm(force=False) is MavResult.TEMPORARILY_REJECTED
     assert "not landed" in texts(pilot) and pilot.armed
-    assert pilot.disarm(force=True) is Answer.ACCEPTED
+    assert pilot.disarm(force=True) is MavResult.ACCEPTED
     run(pilot, 3.0)
     assert not pilot.in_air
     assert FORCE == 21196
@@ -83,7 +85,7 @@ def test_is_disarmed_in_the_air_only_by_force() -> None:
 
 def test_lands_where_it_is_and_disarms_after_2_s() -> None:
     pilot = autopilot()
-    assert pilot.change_mode(FlightMode.LAND) is Answer.ACCEPTED
+    assert pilot.change_mode(FlightMode.LAND) is MavResult.ACCEPTED
     until(pilot, lambda: not pilot.in_air, 20.0)
     assert pilot.armed
     assert until(pilot, lambda: not pilot.armed, 3.0) == pytest.approx(2.0, abs=0.1)
@@ -104,9 +106,9 @@ def test_lands_where_it_is_and_disarms_after_2_s() -> None:
 def test_arming_is_refused_with_a_reason(prepare: Callable[[Autopilot], object], reason: str) -> None:
     pilot = autopilot(ZERO, SYS_FAILURE_EN=1)
     prepare(pilot)
-    assert pilot.arm(force=False) is Answer.TEMPORARILY_REJECTED
+    assert pilot.arm(force=False) is MavResult.TEMPORARILY_REJECTED
     assert "Arming denied" in texts(pilot) and reason in texts(pilot)
-    assert pilot.arm(force=True) is Answer.ACCEPTED
+    assert pilot.arm(force=True) is MavResult.ACCEPTED
 
 
 # Hold, mission, return
@@ -118,13 +120,13 @@ def test_hold_brakes_where_it_is_asked_for() -> None:
     forward = Setpoint(velocity=Ned(0.5, 0.0, 0.0))
     run(pilot, 4.0, lambda: pilot.offboard_setpoint(forward))
     told = pilot.position
-    assert pilot.set_mode(4, 3) is Answer.ACCEPTED
+    assert pilot.set_mode(4, 3) is MavResult.ACCEPTED
     run(pilot, 4.0)
     assert pilot.velocity.norm < 0.02
     assert 0.1 < pilot.position.minus(told).norm < 0.4
     held = pilot.position
     # Asked for again it stays; the old setpoint means nothing any more.
-    assert pilot.set_mode(4, 3) is Answer.ACCEPTED
+    assert pilot.set_mode(4, 3) is MavResult.ACCEPTED
     run(pilot, 4.0)
     assert pilot.position.minus(held).norm < 0.05
 
@@ -134,7 +136,7 @@ SQUARE = (Ned(10.0, 0.0, -8.0), Ned(10.0, 10.0, -8.0), Ned(0.0, 0.0, -6.0))
 
 def test_flies_its_mission_straight_round_and_resumes_it() -> None:
     pilot = autopilot(waypoints=SQUARE)
-    assert pilot.change_mode(FlightMode.MISSION) is Answer.ACCEPTED
+    assert pilot.change_mode(FlightMode.MISSION) is MavResult.ACCEPTED
     until(pilot, lambda: pilot.waypoint == 1, 10.0)
     pilot.change_mode(FlightMode.LOITER)
     run(pilot, 5.0)
@@ -163,14 +165,14 @@ def test_a_mission_flown_once_ends_in_hold_and_keeps_its_line() -> None:
 
 def test_no_mission_no_mission_mode() -> None:
     pilot = autopilot()
-    assert pilot.change_mode(FlightMode.MISSION) is Answer.TEMPORARILY_REJECTED
+    assert pilot.change_mode(FlightMode.MISSION) is MavResult.TEMPORARILY_REJECTED
     assert "no valid mission" in texts(pilot)
-    assert pilot.set_mode(9, 9) is Answer.DENIED
+    assert pilot.set_mode(9, 9) is MavResult.DENIED
 
 
 def test_returns_home_high_enough_and_lands_there() -> None:
     pilot = autopilot()
-    assert pilot.reposition(Ned(30.0, 0.0, -8.0), math.nan) is Answer.ACCEPTED
+    assert pilot.reposition(Ned(30.0, 0.0, -8.0), math.nan) is MavResult.ACCEPTED
     run(pilot, 20.0)
     assert pilot.position.north == pytest.approx(30.0, abs=0.2)
     pilot.change_mode(FlightMode.RTL)
@@ -181,8 +183,8 @@ def test_returns_home_high_enough_and_lands_there() -> None:
 
 
 def test_manual_modes_need_a_pilot() -> None:
-    assert autopilot().set_mode(3, 0) is Answer.TEMPORARILY_REJECTED
-    assert autopilot(rc=True).set_mode(3, 0) is Answer.ACCEPTED
+    assert autopilot().set_mode(3, 0) is MavResult.TEMPORARILY_REJECTED
+    assert autopilot(rc=True).set_mode(3, 0) is MavResult.ACCEPTED
 
 
 # Offboard
@@ -190,11 +192,11 @@ def test_manual_modes_need_a_pilot() -> None:
 
 def test_offboard_needs_a_recent_setpoint() -> None:
     pilot = autopilot()
-    assert pilot.set_mode(6, 0) is Answer.TEMPORARILY_REJECTED
+    assert pilot.set_mode(6, 0) is MavResult.TEMPORARILY_REJECTED
     assert "no offboard signal" in texts(pilot)
     pilot.offboard_setpoint(Setpoint(position=UP))
     run(pilot, 1.1)
-    assert pilot.set_mode(6, 0) is Answer.TEMPORARILY_REJECTED
+    assert pilot.set_mode(6, 0) is MavResult.TEMPORARILY_REJECTED
     assert pilot.mode is FlightMode.LOITER
     offboard(pilot)
     assert pilot.mode is FlightMode.OFFBOARD
@@ -261,7 +263,7 @@ def test_a_mode_asked_for_ends_the_offboard_failsafe_for_good() -> None:
     offboard(pilot)
     run(pilot, 2.0)
     assert pilot.mode is FlightMode.RTL
-    assert pilot.change_mode(FlightMode.LOITER) is Answer.ACCEPTED
+    assert pilot.change_mode(FlightMode.LOITER) is MavResult.ACCEPTED
     run(pilot, 3.0, lambda: pilot.offboard_setpoint(Setpoint(position=UP)))
     assert pilot.mode is FlightMode.LOITER
     offboard(pilot)
@@ -288,28 +290,28 @@ def test_the_ground_station_matters_only_if_the_parameter_says_so() -> None:
 def test_sticks_take_over_from_offboard_if_their_override_is_on(override: int, taken: bool) -> None:
     pilot = autopilot(rc=True, SYS_FAILURE_EN=1, COM_RC_OVERRIDE=override)
     offboard(pilot)
-    assert pilot.inject(*Fault.RC_WRONG.value) is Answer.ACCEPTED
+    assert pilot.inject(*Fault.RC_WRONG.value) is MavResult.ACCEPTED
     assert (pilot.mode is FlightMode.POSCTL) is taken
 
 
 def test_lost_rc_returns_unless_excepted() -> None:
     for excepted, mode in ((0, FlightMode.RTL), (2, FlightMode.LOITER)):
         pilot = autopilot(rc=True, SYS_FAILURE_EN=1, COM_RCL_EXCEPT=excepted)
-        assert pilot.inject(*Fault.RC_OFF.value) is Answer.ACCEPTED
+        assert pilot.inject(*Fault.RC_OFF.value) is MavResult.ACCEPTED
         run(pilot, 0.1)
         assert pilot.mode is mode
     pilot = autopilot(SYS_FAILURE_EN=1)
-    assert pilot.inject(*Fault.RC_OFF.value) is Answer.DENIED
+    assert pilot.inject(*Fault.RC_OFF.value) is MavResult.DENIED
 
 
 # Injected failures
 
 
 def test_failures_need_permission_and_a_unit_that_can_fail() -> None:
-    assert autopilot().inject(*Fault.GPS_OFF.value) is Answer.DENIED
+    assert autopilot().inject(*Fault.GPS_OFF.value) is MavResult.DENIED
     pilot = autopilot(SYS_FAILURE_EN=1)
-    assert pilot.inject(0, 1) is Answer.UNSUPPORTED
-    assert pilot.inject(4, 7) is Answer.UNSUPPORTED
+    assert pilot.inject(0, 1) is MavResult.UNSUPPORTED
+    assert pilot.inject(4, 7) is MavResult.UNSUPPORTED
     assert not pilot.faults
 
 
@@ -321,7 +323,7 @@ def test_without_gps_the_accuracy_worsens_and_it_comes_down_blind() -> None:
     assert pilot.mode is FlightMode.LOITER and not pilot.gps_fix
     until(pilot, lambda: pilot.mode is FlightMode.LAND, 4.0)
     assert not pilot.healthy
-    assert pilot.change_mode(FlightMode.LOITER) is Answer.TEMPORARILY_REJECTED
+    assert pilot.change_mode(FlightMode.LOITER) is MavResult.TEMPORARILY_REJECTED
     until(pilot, lambda: not pilot.armed, 30.0)
 
 
@@ -368,7 +370,7 @@ def test_a_battery_failsafe_can_be_overridden_by_the_user() -> None:
     pilot = autopilot(SYS_FAILURE_EN=1, COM_LOW_BAT_ACT=2)
     pilot.inject(*Fault.BATTERY_OFF.value)
     run(pilot, 0.1)
-    assert pilot.change_mode(FlightMode.LOITER) is Answer.ACCEPTED
+    assert pilot.change_mode(FlightMode.LOITER) is MavResult.ACCEPTED
     run(pilot, 1.0)
     assert pilot.mode is FlightMode.LOITER
 

@@ -13,9 +13,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from m3r_app.sim.autopilot import TICK_S, Autopilot, FlightMode
+from m3r_app.sim.autopilot import Autopilot
 from m3r_app.sim.dynamics import ZERO, Multirotor, PositionError
+from m3r_app.sim.guidance import TICK_S
 from m3r_app.sim.link import VehicleLink
+from m3r_app.sim.modes import FlightMode
 from m3r_app.sim.parameters import INT32, Parameters
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned
@@ -149,7 +151,8 @@ def test_heartbeats_say_px4_its_mode_and_armed(peer: Peer) -> None:
         (mavlink.MAV_CMD_DO_SET_MODE, (1.0, math.nan, 3.0), mavlink.MAV_RESULT_DENIED),
         (mavlink.MAV_CMD_MISSION_START, (), mavlink.MAV_RESULT_TEMPORARILY_REJECTED),
         (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, (), mavlink.MAV_RESULT_ACCEPTED),
-        (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (1.0,), mavlink.MAV_RESULT_UNSUPPORTED),
+        (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (2.0,), mavlink.MAV_RESULT_UNSUPPORTED),
+        (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (1.0,), mavlink.MAV_RESULT_ACCEPTED),
         (mavlink.MAV_CMD_INJECT_FAILURE, (0.0, 1.0), mavlink.MAV_RESULT_UNSUPPORTED),
         (mavlink.MAV_CMD_REQUEST_MESSAGE, (148.0,), mavlink.MAV_RESULT_ACCEPTED),
         (mavlink.MAV_CMD_REQUEST_MESSAGE, (9999.0,), mavlink.MAV_RESULT_UNSUPPORTED),

@@ -17,7 +17,7 @@ from mavsdk.asyncio.plugins.offboard import OffboardAsync, OffboardError, Positi
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from mavsdk.asyncio.plugins.telemetry import FlightMode, TelemetryAsync
 
-from m3r_app.scenario import SHIPPED
+from m3r_app.environment.scenario import SHIPPED
 from tests.m3r_app.sim.fleet_process import FleetProcess
 
 GROUND = 'state = "ground"\nparams = { MPC_LAND_SPEED = 1.4, COM_DISARM_LAND = 0.5 }'

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from m3r_app.scenario import SHIPPED, load_scenario
+from m3r_app.environment.scenario import SHIPPED, load_scenario
 from m3r_app.sim.__main__ import main
-from m3r_app.sim.autopilot import TICK_S
 from m3r_app.sim.fleet import LATE_S, SETTLE_S, Fleet
-from tests.m3r_app.sim.fleet_process import PROJECT, FleetProcess
+from m3r_app.sim.guidance import TICK_S
+from tests.m3r_app.sim.fleet_process import FleetProcess
+from tests.whole import ROOT
 
 PLAIN = (SHIPPED / "plain.toml").read_text(encoding="utf-8")
 
@@ -64,7 +65,7 @@ def test_bad_input_is_one_sentence_and_status_2(
 
 def test_a_missing_scenario_file_ends_the_process_with_status_2(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "m3r_app.sim", "--scenario", str(tmp_path / "none.toml")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd=PROJECT, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd=ROOT, check=False)
     assert done.returncode == 2 and done.stdout == ""
     assert "none.toml cannot be read" in done.stderr and len(done.stderr.splitlines()) == 1
 
@@ -82,6 +83,22 @@ def test_the_truth_is_written_for_every_drone_and_tick(tmp_path: Path) -> None:
     red = fleet.links["red"].autopilot
     assert lines[-3]["ned_m"] == pytest.approx(list(red.drone.position), abs=1e-3)
     assert lines[-3]["ned_m"] != pytest.approx(lines[-3]["estimate_ned_m"], abs=1e-3)
+
+
+def test_the_truth_tells_when_what_happened(tmp_path: Path) -> None:
+    scenario, path = tmp_path / "scenario.toml", tmp_path / "truth.jsonl"
+    event = '[[vehicles.red.events]]\nat_s = 0.1\nkind = "kill"\n'
+    scenario.write_text(PLAIN.replace("COM_OBL_RC_ACT = 5 }", f"COM_OBL_RC_ACT = 5 }}\n{event}", 1))
+    with path.open("w") as truth:
+        fleet = Fleet(load_scenario(scenario), 40000, truth)
+        for _ in range(10):
+            fleet.tick()
+        fleet.close()
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    red = [line for line in lines if line["vehicle"] == "red"]
+    assert [line["events"] for line in red] == [[]] * 4 + [["kill"]] * 6
+    assert [line["armed"] for line in red] == [True] * 4 + [False] * 6
+    assert all("events" not in line for line in lines if line["vehicle"] != "red")
 
 
 def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:

@@ -1,0 +1,258 @@
+"""The flight record: everything that went in, was decided, was sent and was measured, as one MCAP file.
+
+`Recorder.record` only puts a reference into a bounded queue; a thread of its own makes JSON of it and writes. Chunks are
+small and written out as they fill, so that the record of a killed app is readable up to its last second. A disk that
+fails in flight is reported once and never stops the flight.
+
+Topics are the events of the machine-readable output under their own names (`request`, `decision`, `mode`, ...) and what
+the app adds (`telemetry`, `setpoint`, `plan`, `input`, ...). Beside them stand copies in Foxglove's schemas, under
+`/view/`, for maps, 3D and logs. Log time is the wall clock when the record was opened plus monotonic time since; `t` in
+every message is the app's own monotonic time, seconds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import struct
+import threading
+import time
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Any
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from zstandard import ZstdError
+
+from m3r_app.plain import plain, restored
+from m3r_app.record.foxglove_scene import Scene
+from m3r_app.record.foxglove_schemas import SCHEMAS
+from m3r_app.record.foxglove_views import views
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+SCHEMA_VERSION = 1
+"""Of the topics and their fields; a reader refuses what is newer."""
+CHUNK_BYTES = 4096
+QUEUE_LENGTH = 20_000
+"""Messages; about a minute of flight."""
+CLOSE_S = 10.0
+VIEW_PREFIX = "/view/"
+METADATA_NAME = "m3r"
+_DAMAGE = (McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, MemoryError)
+"""What reading past the undamaged part of a file raises."""
+
+
+class RecordError(ValueError):
+    """A record that cannot be written or read; one sentence that names the file."""
+
+
+class Recorder:
+    """Writes one flight record. Thread-safe; `record` takes microseconds and never blocks, waits or raises."""
+
+    def __init__(self, path: Path, metadata: Mapping[str, object], on_failure: Callable[[str], None]) -> None:
+        """Open `path` and write the metadata (app version, settings, scenario, model: anything `plain` can take).
+
+        on_failure: called on the writing thread, with a sentence, the first time that messages are lost and if writing fails.
+        Raises RecordError where the file cannot be written, or holds something that is no flight record.
+        """
+        self._path = path
+        self._on_failure = on_failure
+        self._failed = False
+        self._told_of_gaps = False
+        self._dropped = 0
+        self._dropped_lock = threading.Lock()
+        self._closing = threading.Event()
+        self._queue: queue.SimpleQueue[tuple[str, float, int, Mapping[str, object]] | None] = queue.SimpleQueue()
+        self._wall_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
+        try:
+            _refuse_to_overwrite(path)
+            self._file: IO[bytes] = path.open("wb")
+        except OSError as error:
+            raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
+        try:
+            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._mcap.start(profile="", library="m3r")
+            named = {"schema_version": SCHEMA_VERSION, **metadata}
+            self._mcap.add_metadata(METADATA_NAME, {key: _json(value) for key, value in named.items()})
+            self._file.flush()
+        except OSError as error:
+            self._abandon_file()
+            raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._scene = Scene()
+        self._thread = threading.Thread(target=self._run, name="m3r-recorder", daemon=True)
+        self._thread.start()
+
+    def record(self, topic: str, t_s: float, data: Mapping[str, object]) -> None:
+        """Queue one message. `data` and all in it may not be changed afterwards. Ignored after `close`."""
+        if self._closing.is_set():
+            return
+        if self._queue.qsize() >= QUEUE_LENGTH:
+            with self._dropped_lock:
+                self._dropped += 1
+            return
+        self._queue.put((topic, t_s, time.monotonic_ns() + self._wall_minus_monotonic_ns, data))
+
+    def close(self) -> None:
+        """Write what is queued and finish the file. Safe to call twice and from any thread."""
+        if not self._closing.is_set():
+            self._closing.set()
+            self._queue.put(None)
+        self._thread.join(CLOSE_S)
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            topic, t_s, log_ns, data = item
+            if self._failed:
+                continue
+            try:
+                self._write(topic, t_s, log_ns, data)
+                if self._dropped:
+                    self._write_gap(t_s, log_ns)
+                if self._queue.empty():
+                    self._file.flush()
+            except OSError as error:
+                self._fail(error.strerror or str(error))
+            except Exception as error:  # noqa: BLE001  (one message that no JSON can hold must not end the record)
+                with self._dropped_lock:
+                    self._dropped += 1
+                self._tell_of_gaps(f"one {topic} message could not be written ({type(error).__name__})")
+        if self._failed:
+            return
+        try:
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+    def _write(self, topic: str, t_s: float, log_ns: int, data: Mapping[str, object]) -> None:
+        message = plain(dict(data), lossless=True) | {"t": t_s}
+        self._add(topic, f"m3r.{topic}", message, log_ns)
+        for view in (*views(topic, message, log_ns), *self._scene.views(topic, message, log_ns)):
+            self._add(f"{VIEW_PREFIX}{view.topic}", view.schema, view.message, log_ns)
+
+    def _write_gap(self, t_s: float, log_ns: int) -> None:
+        """Say in the record itself that messages are missing here."""
+        with self._dropped_lock:
+            dropped, self._dropped = self._dropped, 0
+        self._tell_of_gaps("writing it falls behind")
+        self._write("record_gap", t_s, log_ns, {"dropped": dropped})
+
+    def _add(self, topic: str, schema: str, message: Mapping[str, Any], log_ns: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            if schema not in self._schemas:
+                text = json.dumps(SCHEMAS.get(schema) or _schema_of(message)).encode()
+                self._schemas[schema] = self._mcap.register_schema(schema, "jsonschema", text)
+            channel = self._mcap.register_channel(topic, "json", self._schemas[schema])
+            self._channels[topic] = channel
+        self._mcap.add_message(channel, log_ns, json.dumps(message, allow_nan=False).encode(), log_ns)
+
+    def _fail(self, reason: str) -> None:
+        self._failed = True
+        self._abandon_file()
+        self._on_failure(f"flight record {self._path} is incomplete from here on: {reason}")
+
+    def _tell_of_gaps(self, reason: str) -> None:
+        if not self._told_of_gaps:
+            self._told_of_gaps = True
+            self._on_failure(f"flight record {self._path} has gaps: {reason}")
+
+    def _abandon_file(self) -> None:
+        try:
+            self._file.close()
+        except OSError:
+            pass  # What could not be flushed before cannot be now; the failure itself is already being reported.
+
+
+def _json(value: object) -> str:
+    return json.dumps(plain(value, lossless=True), allow_nan=False)
+
+
+_JSON_TYPES = {bool: "boolean", int: "number", float: "number", str: "string"}
+
+
+def _schema_of(value: Any) -> dict[str, Any]:
+    """A JSON schema in which a viewer finds the fields of a message like this one."""
+    if isinstance(value, dict):
+        return {"type": "object", "properties": {key: _schema_of(item) for key, item in value.items()}}
+    if isinstance(value, list):
+        return {"type": "array", "items": _schema_of(value[0]) if value else {}}
+    kind = _JSON_TYPES.get(type(value))
+    return {"type": kind} if kind else {}
+
+
+def _refuse_to_overwrite(path: Path) -> None:
+    """A record may replace an older one, never another kind of file."""
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise RecordError(f"flight record {path} would overwrite a file that is no flight record: name another")
+
+
+@dataclass(frozen=True)
+class RecordHeader:
+    """What a record says of itself. complete: it was closed; False for that of a killed app or a full disk."""
+
+    metadata: dict[str, Any]
+    complete: bool
+
+
+def read_header(path: Path) -> RecordHeader:
+    """The metadata of a flight record. Raises RecordError."""
+    for record in _records(path):
+        if isinstance(record, Metadata) and record.name == METADATA_NAME:
+            metadata = {key: restored(json.loads(text)) for key, text in record.metadata.items()}
+            if metadata["schema_version"] > SCHEMA_VERSION:
+                raise RecordError(
+                    f"{path} has record version {metadata['schema_version']}, this m3r reads up to {SCHEMA_VERSION}: "
+                    "use a newer m3r"
+                )
+            return RecordHeader(metadata, _ends_with_magic(path))
+    raise RecordError(f"{path} is not a flight record made by m3r")
+
+
+def read_record(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
+    """(topic, t_s, data) of every message in the order in which they were recorded, Foxglove's copies left out.
+
+    Reading ends where a record is cut off or at the first damaged chunk; `read_header` tells whether it is complete.
+    Raises RecordError if the file cannot be read or is no flight record.
+    """
+    read_header(path)
+    topics: dict[int, str] = {}
+    for record in _records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and not topics[record.channel_id].startswith(VIEW_PREFIX):
+            data = restored(json.loads(record.data))
+            t_s = data.pop("t")
+            yield topics[record.channel_id], t_s, data
+
+
+def _records(path: Path) -> Iterator[object]:
+    """Every MCAP record up to the end or the first damage, without seeking."""
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise RecordError(f"{path} is not a flight record (MCAP)")
+            size = path.stat().st_size
+            reader = StreamReader(file, skip_magic=True, validate_crcs=True, record_size_limit=size)
+            try:
+                yield from reader.records
+            except _DAMAGE:
+                return
+    except OSError as error:
+        raise RecordError(f"flight record {path} cannot be read: {error.strerror}") from None
+
+
+def _ends_with_magic(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return file.read() == MCAP0_MAGIC

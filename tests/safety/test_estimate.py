@@ -1,0 +1,145 @@
+"""What an estimate is worth: speed by velocity and by position, jumps, and the noise of a hover. Source: X6, X11, R8."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safety.estimate import (
+    AT_FIRST,
+    WANDER,
+    HoverSample,
+    Motion,
+    Noise,
+    adapted,
+    disagreement,
+    jump,
+    moved,
+    observed,
+    spans_s,
+    too_noisy,
+    with_hover,
+)
+from safety.limits import Limits
+from safety.vocabulary import Ned, VehicleState
+from tests.safety.scene import LIMITS, vehicle
+
+pytestmark = pytest.mark.requirement("R8", "X6", "X11")
+
+STILL = Ned(0.0, 0.0, 0.0)
+NOISE = Noise(Ned(0.1, 0.0, 0.0), 0.1, 0.3, 0.5)
+
+
+def fly(seconds: float, velocity: Ned, said: Ned | None = None, dt_s: float = 0.02) -> tuple[Motion, VehicleState]:
+    """A drone that moves at `velocity` and says `said`."""
+    motion, last = AT_FIRST, None
+    for i in range(round(seconds / dt_s) + 1):
+        t_s = i * dt_s
+        at = Ned(*(t_s * v for v in velocity))
+        now = replace(vehicle(), at_s=t_s, position=at, velocity=said if said is not None else velocity)
+        motion, last = moved(motion, now, last), now
+    assert last is not None
+    return motion, last
+
+
+@pytest.mark.parametrize("dt_s", [0.02, 0.1, 0.25])
+def test_speed_by_velocity_and_by_position_agree_where_the_estimate_does(dt_s: float) -> None:
+    motion, _ = fly(3.0, Ned(0.3, 0.4, 0.0), dt_s=dt_s)
+    assert motion.by_velocity_m_s == pytest.approx(0.5)
+    assert motion.by_position_m_s == pytest.approx(0.5, abs=0.01)
+
+
+def test_of_a_noisy_estimate_the_lesser_counts_and_of_another_the_velocity() -> None:
+    """What is real shows in both: a velocity that is wrong does not move the position."""
+    for real, said in ((0.0, 0.6), (0.6, 0.0)):
+        motion, _ = fly(3.0, Ned(real, 0.0, 0.0), Ned(said, 0.0, 0.0))
+        assert motion.speed_m_s(NOISE) == pytest.approx(0.0, abs=0.01)
+        assert motion.speed_m_s(None) == pytest.approx(said)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_speed_that_is_not_finite_looks_like_none(bad: float) -> None:
+    motion, _ = fly(3.0, STILL, Ned(bad, 0.0, 0.0))
+    assert not motion.speed_m_s(NOISE) < 1e9
+    assert not motion.rests(NOISE, LIMITS) and not motion.rests(None, LIMITS)
+
+
+@pytest.mark.parametrize(("speed_m_s", "rests"), [(0.0, True), (0.099, True), (0.101, False), (1.0, False)])
+def test_rest_is_slower_than_its_limit(speed_m_s: float, rests: bool) -> None:
+    motion, _ = fly(3.0, Ned(speed_m_s, 0.0, 0.0))
+    assert motion.rests(None, LIMITS) == rests
+
+
+def test_with_noise_rest_needs_position_and_velocity() -> None:
+    wider = adapted(LIMITS, NOISE)  # rests below 0.3 m/s by position, and 0.9 m/s by velocity
+    for real, said, rests in ((0.2, 0.8, True), (0.4, 0.8, False), (0.2, 1.0, False)):
+        motion, _ = fly(3.0, Ned(real, 0.0, 0.0), Ned(said, 0.0, 0.0))
+        assert motion.rests(NOISE, wider) == rests
+    assert not Motion(0.0, ()).rests(NOISE, wider), "a track that is too short shows nothing"
+
+
+def test_a_jump_is_what_the_velocity_does_not_explain() -> None:
+    _, last = fly(1.0, Ned(1.0, 0.0, 0.0))
+    on = replace(last, at_s=last.at_s + 0.1, position=last.position.plus(Ned(0.1, 0.0, 0.0)))
+    assert jump(on, last).norm == pytest.approx(0.0, abs=1e-9)
+    off = replace(on, position=on.position.plus(Ned(0.0, 3.0, -4.0)))
+    assert jump(off, last) == pytest.approx((0.0, 3.0, -4.0))
+    assert disagreement(off, last).norm == pytest.approx(5.0)
+    assert disagreement(off, None) == STILL
+    later = replace(off, at_s=off.at_s + 2.0, velocity=STILL, disagreement=Ned(0.0, 3.0, 0.0))
+    calm = replace(later, at_s=later.at_s + 2.0)
+    assert disagreement(calm, later).norm == pytest.approx(3.0 / math.e)
+
+
+def hover(
+    spread_m: float, speed_m_s: float = 0.0, said_m_s: float = 0.0, off_m: float = 0.0
+) -> tuple[HoverSample, ...]:
+    return tuple(
+        HoverSample(0.1 * i, Ned(spread_m * (-1.0) ** i, 0.0, 0.0), speed_m_s, said_m_s, off_m) for i in range(80)
+    )
+
+
+def test_noise_is_the_spread_and_the_root_mean_squares_of_a_hover() -> None:
+    seen = observed(hover(0.2, 0.1, 0.3, 0.5))
+    assert seen.position == pytest.approx((0.2, 0.0, 0.0))
+    assert (seen.speed_m_s, seen.velocity_m_s, seen.disagreement_m) == pytest.approx((0.1, 0.3, 0.5))
+    assert spans_s(hover(0.2)) == pytest.approx(7.9) and spans_s(()) == 0.0
+
+
+@given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(0.0, 5.0))
+def test_noise_only_ever_widens_and_only_what_it_concerns(place: float, speed: float, said: float, off: float) -> None:
+    wider = adapted(LIMITS, Noise(Ned(place, 0.0, 0.0), speed, said, off))
+    changed = {f.name for f in fields(Limits) if getattr(wider, f.name) != getattr(LIMITS, f.name)}
+    assert changed <= {"rest_m_s", "tracking_m", "speed_tolerance_m_s", "disagreement_m"}
+    assert all(getattr(wider, name) > getattr(LIMITS, name) for name in changed)
+    noisy = 3.0 * speed > 0.1 or 3.0 * WANDER * place > 0.3 or 3.0 * WANDER * off > 0.5
+    assert wider.tracking_m == (max(1.0, 3.0 * WANDER * place) if noisy else 0.3)
+    assert wider.disagreement_m == (max(2.0, 3.0 * WANDER * off) if noisy else 0.5)
+
+
+@pytest.mark.parametrize(
+    ("place_m", "off_m", "says"),
+    [
+        (0.3, 0.5, None),
+        (0.47, 0.5, None),
+        (0.48, 0.5, "wanders by 0.48 m"),
+        (0.1, 0.95, None),
+        (0.1, 0.96, "disagree by 0.96 m"),
+    ],
+)
+def test_what_is_too_noisy_is_said_in_numbers(place_m: float, off_m: float, says: str | None) -> None:
+    why = too_noisy(Noise(Ned(place_m, 0.0, 0.0), 0.1, 0.1, off_m), LIMITS)
+    assert (why is None) if says is None else (why is not None and says in why)
+
+
+def test_samples_of_a_hover_are_few_recent_and_finite() -> None:
+    motion, last = fly(3.0, STILL)
+    samples: tuple[HoverSample, ...] = ()
+    for i in range(1000):
+        samples = with_hover(samples, replace(last, at_s=0.02 * i), motion, 8.0)
+    assert len(samples) <= 82 and 7.8 < spans_s(samples) <= 8.0 + 0.1
+    assert with_hover(samples, replace(last, at_s=99.0, position=Ned(math.nan, 0.0, 0.0)), motion, 8.0) == ()
