@@ -19,8 +19,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app.airspace.local import Airspace, LocalAirspace
-from m3r_app.arbiter.events import ArbiterState, ClaimLost, PairingAnswered, PairingAsked, Policy, Tally
+from m3r_app.arbiter.events import ClaimLost, PairingAnswered, PairingAsked
 from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.state import ArbiterState, Policy, Tally
 from m3r_app.environment.static_scene import stage_of
 from m3r_app.exit_status import ExitStatus
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs

@@ -10,30 +10,21 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Literal, Protocol
 
 from m3r_app.airspace.local import Airspace
+from m3r_app.arbiter.effects import Announce, Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
 from m3r_app.arbiter.events import (
-    Announce,
-    ArbiterState,
     ClaimLost,
-    Effect,
     Ended,
     Event,
-    FaceOperator,
-    Fly,
     FrameMoved,
-    Hold,
-    LetGo,
     NeighboursHeard,
-    Pair,
     PairingAnswered,
-    Release,
-    Report,
     Requested,
     ReservationAnswered,
-    Reserve,
     Stalled,
     TelemetryArrived,
     Tick,
 )
+from m3r_app.arbiter.state import ArbiterState
 from m3r_app.arbiter.step import step
 from m3r_app.snapshot import craft, margins
 from m3r_app.vehicle.fleet import Fleet

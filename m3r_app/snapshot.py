@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from m3r_app.arbiter.context import Step
-from m3r_app.arbiter.events import ArbiterState
+from m3r_app.arbiter.state import ArbiterState
 from m3r_app.run_setup import Setting
 from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand

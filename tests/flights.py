@@ -19,24 +19,17 @@ from typing import Any
 import numpy as np
 import shapely
 
+from m3r_app.arbiter.effects import Announce, FaceOperator, Fly, Hold, Pair, Report, Reserve
 from m3r_app.arbiter.events import (
-    Announce,
-    ArbiterState,
     Event,
-    FaceOperator,
-    Fly,
-    Hold,
     NeighboursHeard,
-    Pair,
     PairingAnswered,
-    Policy,
-    Report,
     Requested,
     ReservationAnswered,
-    Reserve,
     TelemetryArrived,
     Tick,
 )
+from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.sim.dynamics import Multirotor, PositionError, Setpoint, Wind
 from m3r_app.vehicle.motion_controller import MotionController

@@ -9,8 +9,9 @@ import math
 from dataclasses import replace
 
 from m3r_app.arbiter import reports
-from m3r_app.arbiter.events import Announce, ArbiterState, Effect, Session, Suspected
+from m3r_app.arbiter.effects import Announce, Effect
 from m3r_app.arbiter.modes import DECIDING, Cause, State, next_state
+from m3r_app.arbiter.state import ArbiterState, Session, Suspected
 from safety.situation import Situation
 from safety.vocabulary import Anchor, VehicleState
 

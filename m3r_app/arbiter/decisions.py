@@ -9,8 +9,10 @@ from dataclasses import replace
 
 from m3r_app.arbiter import execution, fusion, reports, wording
 from m3r_app.arbiter.context import RECHECK_S, Step
-from m3r_app.arbiter.events import Announce, Deciding, Leftover, Release, ReservationAnswered, Reserve
+from m3r_app.arbiter.effects import Announce, Release, Reserve
+from m3r_app.arbiter.events import ReservationAnswered
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import Deciding, Leftover
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, interpret, safe
 from safety.vocabulary import PRIMITIVE_OF, Command, Decision, Finding, ManeuverRequest, Plan, Primitive, Verdict

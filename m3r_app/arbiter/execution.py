@@ -11,8 +11,9 @@ from typing import Literal
 
 from m3r_app.arbiter import reports, wording
 from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
-from m3r_app.arbiter.events import Flight, Fly, Hold, Leftover, Release
+from m3r_app.arbiter.effects import Fly, Hold, Release
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import Flight, Leftover
 from safety.confidence import unfit_to_fly
 from safety.frames import wrap_deg
 from safety.monitor import Watch, watch

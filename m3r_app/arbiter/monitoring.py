@@ -9,8 +9,9 @@ from dataclasses import replace
 
 from m3r_app.arbiter import decisions, execution, reports, wording
 from m3r_app.arbiter.context import RECHECK_S, Step
-from m3r_app.arbiter.events import FaceOperator, Hold, Suspected
+from m3r_app.arbiter.effects import FaceOperator, Hold
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import Suspected
 from safety.estimate import jump
 from safety.frames import bearing_deg
 from safety.monitor import Breach, watch

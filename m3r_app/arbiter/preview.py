@@ -8,7 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from m3r_app.arbiter.events import Announce, ArbiterState, Hold, Report, Requested
+from m3r_app.arbiter.effects import Announce, Hold, Report
+from m3r_app.arbiter.events import Requested
+from m3r_app.arbiter.state import ArbiterState
 from m3r_app.arbiter.step import step
 from m3r_app.plain import plain
 from safety.vocabulary import ManeuverRequest

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from m3r_app.arbiter.events import Flight, Report
+from m3r_app.arbiter.effects import Report
 from m3r_app.arbiter.modes import MODE_OF, Cause, State
+from m3r_app.arbiter.state import Flight
 from safety.frames import enu
 from safety.monitor import Breach
 from safety.vocabulary import Decision, Finding, ManeuverRequest, Ned

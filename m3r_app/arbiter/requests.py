@@ -10,7 +10,8 @@ import math
 from m3r_app.arbiter import decisions, execution, reports, sessions
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.decisions import is_of_now, refuse, unmet
-from m3r_app.arbiter.events import Hold, Requested
+from m3r_app.arbiter.effects import Hold
+from m3r_app.arbiter.events import Requested
 from m3r_app.arbiter.fusion import Relation, fused, relate
 from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.wording import asked

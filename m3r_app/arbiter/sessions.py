@@ -11,8 +11,10 @@ import numpy as np
 
 from m3r_app.arbiter import decisions, execution, reports
 from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
-from m3r_app.arbiter.events import Announce, FaceOperator, Hold, LetGo, LetGoCommand, Pair, PairingAnswered, Session
+from m3r_app.arbiter.effects import Announce, FaceOperator, Hold, LetGo, LetGoCommand, Pair
+from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import Session
 from safety.confidence import localization
 from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_noisy, with_hover
 from safety.frames import bearing_deg, wrap_deg

@@ -12,14 +12,12 @@ from dataclasses import replace
 
 from m3r_app.arbiter import decisions, execution, monitoring, requests, sessions
 from m3r_app.arbiter.context import Step
+from m3r_app.arbiter.effects import Effect, Hold
 from m3r_app.arbiter.events import (
-    ArbiterState,
     ClaimLost,
-    Effect,
     Ended,
     Event,
     FrameMoved,
-    Hold,
     NeighboursHeard,
     PairingAnswered,
     PairingAsked,
@@ -30,6 +28,7 @@ from m3r_app.arbiter.events import (
     Tick,
 )
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import ArbiterState
 from safety.estimate import disagreement, moved
 from safety.vocabulary import Command, VehicleState
 

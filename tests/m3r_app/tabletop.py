@@ -11,28 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from m3r_app.arbiter.effects import Announce, Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
 from m3r_app.arbiter.events import (
-    Announce,
-    ArbiterState,
-    Effect,
     Event,
-    FaceOperator,
-    Fly,
-    Hold,
-    LetGo,
     NeighboursHeard,
-    Pair,
     PairingAnswered,
-    Policy,
-    Release,
-    Report,
     Requested,
     ReservationAnswered,
-    Reserve,
     TelemetryArrived,
     Tick,
 )
 from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, State
+from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.frames import wrap_deg
 from safety.limits import Limits

@@ -12,29 +12,21 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from m3r_app.arbiter.effects import FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
 from m3r_app.arbiter.events import (
-    ArbiterState,
     ClaimLost,
     Ended,
-    FaceOperator,
-    Fly,
-    Hold,
-    LetGo,
     NeighboursHeard,
-    Pair,
     PairingAnswered,
     PairingAsked,
-    Policy,
-    Release,
-    Report,
     Requested,
     ReservationAnswered,
-    Reserve,
     Stalled,
     TelemetryArrived,
     Tick,
 )
 from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.limits import Limits
 from safety.obstacles import Obstacles

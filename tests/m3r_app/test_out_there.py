@@ -13,8 +13,10 @@ from typing import Any
 
 import pytest
 
-from m3r_app.arbiter.events import FaceOperator, FrameMoved, Hold, LetGo, Policy, TelemetryArrived
+from m3r_app.arbiter.effects import FaceOperator, Hold, LetGo
+from m3r_app.arbiter.events import FrameMoved, TelemetryArrived
 from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.state import Policy
 from m3r_app.arbiter.wording import reasons
 from safety.limits import Limits
 from safety.vocabulary import Command, Finding, Ned

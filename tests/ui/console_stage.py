@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from m3r_app.arbiter.events import ArbiterState, Policy, Session
 from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.snapshot import Craft, Picture

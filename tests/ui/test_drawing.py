@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m3r_app.arbiter.events import ArbiterState, Policy, Session
+from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.snapshot import NOWHERE_M, Craft, Picture, margins

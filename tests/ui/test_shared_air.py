@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from m3r_app.arbiter.events import ArbiterState
+from m3r_app.arbiter.state import ArbiterState
 from m3r_app.snapshot import heard_of
 from safety.vocabulary import Neighbours
 from tests.ui.console_stage import SMALL, flying_picture, hillside

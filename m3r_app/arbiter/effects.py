@@ -1,0 +1,85 @@
+"""What comes out of the arbiter's step, for the shell to carry out in order. Frozen data only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from safety.vocabulary import (
+    Plan,
+    ReservedVolume,
+)
+
+LetGoCommand = Literal["hold", "resume", "land", "nothing"]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One object of the machine-readable output, also recorded. `fields` is strict JSON but for floats (rounded later)."""
+
+    event: str
+    fields: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Announce:
+    """What the operator is told."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Run the checks before pairing with this drone and put it in Hold; answer with PairingAnswered."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaceOperator:
+    """Hover here, nose to this bearing at the bounded yaw rate."""
+
+    yaw_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fly:
+    """Start streaming this plan now."""
+
+    plan: Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Stop here now, yaw too."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """Ask the airspace authority for this volume. request_id: of this ask alone, so that a late answer is no other's."""
+
+    request_id: str
+    volume: ReservedVolume
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Give the volume of that ask back."""
+
+    request_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class LetGo:
+    """The session is over. command: put the drone in Hold (or resume its mission, or land); not after a takeover (X3).
+
+    vehicle_lost: there is nothing left to fly: its autopilot has started anew.
+    """
+
+    command: LetGoCommand
+    vehicle_lost: bool = False
+
+
+Effect = Report | Announce | Pair | FaceOperator | Fly | Hold | Reserve | Release | LetGo
