@@ -44,6 +44,11 @@ class Envelope(Section):
     acceleration_m_s2: Annotated[float, Ge(0.1), Le(2)]
     yaw_rate_deg_s: Annotated[float, Ge(1), Le(60)]
     yaw_acceleration_deg_s2: Annotated[float, Ge(1), Le(120)]
+    engaging_s: Annotated[float, Ge(0.2), Le(5)]
+    arrived_m: Annotated[float, Ge(0.02), Le(0.5)]
+    linger_s: Annotated[float, Ge(0), Le(10)]
+    facing_tolerance_deg: Annotated[float, Ge(1), Le(20)]
+    settling_timeout_s: Annotated[float, Ge(1), Le(60)]
     duration_factor: Annotated[float, Ge(1), Le(5)]
     duration_extra_s: Annotated[float, Ge(0), Le(30)]
     speed_tolerance_m_s: Annotated[float, Ge(0.05), Le(0.5)]
@@ -55,6 +60,7 @@ class Clearance(Section):
     min_agl_m: Annotated[float, Ge(0.5), Le(120)]
     clearance_m: Annotated[float, Ge(0.3), Le(50)]
     obstacle_clearance_m: Annotated[float, Ge(0.3), Le(50)]
+    flat_sigma_m: Annotated[float, Ge(0.1), Le(10)]
 
 
 class Separation(Section):
@@ -88,6 +94,7 @@ class Pairing(Section):
 
     range_m: Annotated[float, Ge(5), Le(500)]
     operator_sigma_max_m: Annotated[float, Ge(0.1), Le(20)]
+    facing_timeout_s: Annotated[float, Ge(5), Le(120)]
     answer_s: Annotated[float, Ge(1), Le(120)]
 
 
@@ -108,6 +115,9 @@ class Confidence(Section):
     speed_plausible_m_s: Annotated[float, Ge(5), Le(30)]
     battery_min: Annotated[float, Ge(0), Le(0.9)]
     telemetry_age_s: Annotated[float, Ge(0.1), Le(2)]
+    position_lost_s: Annotated[float, Ge(1), Le(30)]
+    request_age_s: Annotated[float, Ge(1), Le(10)]
+    request_ahead_s: Annotated[float, Ge(0), Le(1)]
 
 
 class VoiceSettings(Section):
@@ -139,8 +149,9 @@ class Uncertainty(Section):
 
 
 class DecisionSettings(Section):
-    """Shortening, waiting, fusing. Source: P3, X5, X12, R10."""
+    """Shortening, waiting, fusing. Source: P3, X5, X10, X12, R10."""
 
+    reservation_timeout_s: Annotated[float, Ge(0.2), Le(5)]
     bisection_m: Annotated[float, Ge(0.001), Le(0.05)]
     delay_s: Annotated[float, Ge(0), Le(10)]
     fusion_window_s: Annotated[float, Ge(0.1), Le(5)]

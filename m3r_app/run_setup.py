@@ -17,9 +17,6 @@ from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import Geodetic, Operator
 
-FLAT_SIGMA_M = 0.5
-"""How wrong an operator may be who declares the ground flat, 1 sigma."""
-
 
 @dataclass(frozen=True)
 class Setting:
@@ -73,7 +70,7 @@ def _air(options: RunOptions) -> tuple[Broker, Credentials] | None:
 
 def _world(settings: Settings, scenario: Scenario | None, frame: LocalFrame) -> World:
     amsl_m = frame.origin.amsl_m
-    flat = Terrain.flat(amsl_m, FLAT_SIGMA_M, amsl_m) if settings.terrain == "flat" else None
+    flat = Terrain.flat(amsl_m, settings.clearance.flat_sigma_m, amsl_m) if settings.terrain == "flat" else None
     if scenario is None:
         return World(flat, Obstacles.none(amsl_m), None)
     return load_world(scenario, frame, flat)

@@ -94,3 +94,22 @@ class Limits:
     fusion_window_s: float = 1.0
     continue_within_s: float = 30.0
     return_after_s: float = 2.0
+    request_age_s: float = 5.0
+    """What was said or shown longer ago than this is asked anew (X6)."""
+    request_ahead_s: float = 0.5
+    """So far the clocks of what is captured may run ahead; what was asked later than now was not asked (X6)."""
+    reservation_timeout_s: float = 1.0
+    """So long the authority may take to answer (X10)."""
+    # How the arbiter knows that a motion has begun and ended: R8, design 2
+    engaging_s: float = 1.0
+    """So long the autopilot may take to enter Offboard and say so."""
+    arrived_m: float = 0.1
+    linger_s: float = 2.0
+    """In wind, and with a noisy estimate, a drone may rest off its goal, within the tube; it has arrived after so much longer."""
+    facing_tolerance_deg: float = 5.0
+    facing_timeout_s: float = 20.0
+    """So long it may take to come to rest facing the operator (P1)."""
+    settling_timeout_s: float = 10.0
+    """A request that waits for the drone to come to rest is refused after this."""
+    position_lost_s: float = 3.0
+    """So long a drone may be without a position before it is told to land, where that is chosen (X6)."""
