@@ -7,10 +7,22 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Coroutine
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, assert_never
 
 from m3r_app.airspace.local import Airspace
-from m3r_app.arbiter.effects import Announce, Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
+from m3r_app.arbiter.effects import (
+    Announce,
+    Effect,
+    FaceOperator,
+    Fly,
+    Hold,
+    ImpossibleTransition,
+    LetGo,
+    Pair,
+    Release,
+    Report,
+    Reserve,
+)
 from m3r_app.arbiter.events import (
     ClaimLost,
     Ended,
@@ -242,6 +254,12 @@ class Shell:
 
     def _carry_out(self, effect: Effect, now_s: float) -> None:
         match effect:
+            case ImpossibleTransition():
+                fault = (
+                    f"a transition that the mode machine does not have was refused: {effect.cause} in {effect.state}"
+                )
+                self._recording.record("fault", now_s, {"text": fault})
+                self._emit("announce", {"text": f"{fault} (a fault in m3r)"})
             case Report():
                 self._emit(effect.event, self._with_places(effect))
                 if effect.event == "pair" and effect.fields.get("status") == "confirmed" and self.vehicle is not None:
@@ -270,6 +288,8 @@ class Shell:
             case LetGo():
                 self.vehicle_lost = self.vehicle_lost or effect.vehicle_lost
                 self._let_go(effect.command)
+            case _:
+                assert_never(effect)
 
     async def _sound(self, vehicle: Vehicle) -> None:
         """The audible sign of pairing, on the drone itself; that it was given is recorded. Source: paper III-A."""

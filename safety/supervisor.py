@@ -109,7 +109,7 @@ def decide(
 
 
 def decide_plan(
-    request_id: str,
+    request_id: str | None,
     plan: Plan,
     request: ManeuverRequest | None,
     situation: Situation,

@@ -397,10 +397,10 @@ class Verdict(StrEnum):
 class Decision:
     """What became of a request and why. Source: paper III-G.
 
-    requested_m, granted_m: None for scans. findings: of what was asked; granted_findings: of what was granted.
+    request_id: None: the way back to the anchor, which nobody asked for. requested_m, granted_m: None for scans. findings: of what was asked; granted_findings: of what was granted.
     """
 
-    request_id: str
+    request_id: str | None
     primitive: Primitive | None
     verdict: Verdict
     requested_m: float | None

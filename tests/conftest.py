@@ -28,6 +28,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(autouse=True)
+def _transitions_are_in_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In flight a transition that the mode machine does not have is told and not taken; in a test it is a fault."""
+
+    def raised(state: object, cause: object) -> None:
+        raise AssertionError(f"the mode machine has no {cause} in {state}")
+
+    monkeypatch.setattr("m3r_app.arbiter.context.impossible", raised)
+
+
+@pytest.fixture(autouse=True)
 def _own_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """No test depends on how the person who runs it has set M3R up."""
     monkeypatch.delenv("M3R_DEBUG", raising=False)

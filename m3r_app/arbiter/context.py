@@ -9,15 +9,19 @@ import math
 from dataclasses import replace
 
 from m3r_app.arbiter import reports
-from m3r_app.arbiter.effects import Announce, Effect
+from m3r_app.arbiter.effects import Announce, Effect, ImpossibleTransition
 from m3r_app.arbiter.modes import DECIDING, Cause, State, next_state
-from m3r_app.arbiter.state import ArbiterState, Session, Suspected
+from m3r_app.arbiter.state import ArbiterState, Session, Suspected, Tally
 from safety.situation import Situation
 from safety.vocabulary import Anchor, VehicleState
 
-FACING_TOLERANCE_DEG = 5.0
 RECHECK_S = 0.1
 """What is judged again and again while the drone hovers is judged this often."""
+
+
+def impossible(state: State, cause: Cause) -> ImpossibleTransition:
+    """What is made of a transition that the table does not have. The tests put an exception in its place."""
+    return ImpossibleTransition(state, cause)
 
 
 class Step:
@@ -30,10 +34,6 @@ class Step:
 
     # ------------------------------------------------------------ what changes
 
-    def be(self, **changes: object) -> None:
-        """Change some fields of the state."""
-        self.state = self.state.but(**changes)
-
     def do(self, effect: Effect) -> None:
         """Have the shell do this, after all that came before."""
         self.effects.append(effect)
@@ -42,22 +42,23 @@ class Step:
         return next_state(self.state.state, cause, held=self.state.held) is not None
 
     def go(self, cause: Cause) -> None:
-        """Take the table's transition; without one, stay."""
+        """Take the table's transition. One that it does not have is a fault in the arbiter: told, and not taken."""
         previous, held = self.state.state, self.state.held
         to = next_state(previous, cause, held=held)
         if to is None:
+            self.do(impossible(previous, cause))
             return
-        self.be(state=to, held=previous is State.EMERGENCY_HOLD if to is State.DETECTED else held and to in DECIDING)
+        self.state = replace(
+            self.state,
+            state=to,
+            held=previous is State.EMERGENCY_HOLD if to is State.DETECTED else held and to in DECIDING,
+            settling_since_s=self.now_s if to is State.SETTLING else None,
+        )
         self.do(reports.mode(previous, to, cause))
-
-    def settle(self, cause: Cause) -> None:
-        """Go where the end of the motion is waited for."""
-        self.be(settling_since_s=self.now_s)
-        self.go(cause)
 
     def anchor_here(self, vehicle: VehicleState) -> None:
         anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
-        self.be(session=replace(self.session, anchor=anchor))
+        self.state = replace(self.state, session=replace(self.session, anchor=anchor))
 
     def tell(self, text: str) -> None:
         """Tell the operator, in the name of the session's drone."""
@@ -66,13 +67,12 @@ class Step:
 
     def violated(self, suspected: Suspected) -> None:
         """A limit was broken, and it was ours to keep."""
-        self.count("violations")
+        self.count(Tally(violations=1))
         self.do(reports.violation(suspected.breach, suspected.action))
 
-    def count(self, what: str) -> None:
-        """One more of this field of the tally."""
-        tally = self.state.tally
-        self.be(tally=replace(tally, **{what: getattr(tally, what) + 1}))
+    def count(self, more: Tally) -> None:
+        """Add to the tally."""
+        self.state = replace(self.state, tally=self.state.tally.plus(more))
 
     # ------------------------------------------------------------ what is known
 

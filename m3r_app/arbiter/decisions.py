@@ -12,19 +12,13 @@ from m3r_app.arbiter.context import RECHECK_S, Step
 from m3r_app.arbiter.effects import Announce, Release, Reserve
 from m3r_app.arbiter.events import ReservationAnswered
 from m3r_app.arbiter.modes import Cause, State
-from m3r_app.arbiter.state import Deciding, Leftover
+from m3r_app.arbiter.state import Deciding, Leftover, Tally
+from safety.limits import Limits
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, interpret, safe
 from safety.vocabulary import PRIMITIVE_OF, Command, Decision, Finding, ManeuverRequest, Plan, Primitive, Verdict
 from safety.volumes import swept_volume
 
-RESERVATION_TIMEOUT_S = 1.0
-STALE_REQUEST_S = 5.0
-"""What was said or shown longer ago than this is asked anew (X6)."""
-AHEAD_S = 0.5
-"""So far the clocks of what is captured may run ahead; what was asked later than now was not asked (X6)."""
-RETURN_ID = "return"
-"""What the decision on a way back that nobody asked for is called."""
 BACK = Intent(Primitive.RETURN, 0.0)
 
 
@@ -33,9 +27,9 @@ def unmet(constraint: str, requirements: tuple[str, ...], text: str) -> Finding:
     return Finding(constraint, requirements, None, "", passed=False, text=text)
 
 
-def is_of_now(request: ManeuverRequest, now_s: float) -> bool:
+def is_of_now(request: ManeuverRequest, now_s: float, limits: Limits) -> bool:
     """Whether it was asked a moment ago, at a time that can be. Source: X6."""
-    return -AHEAD_S <= now_s - request.captured_at_s <= STALE_REQUEST_S
+    return -limits.request_ahead_s <= now_s - request.captured_at_s <= limits.request_age_s
 
 
 UNHEARD = unmet("localization", ("R11", "X6"), "nothing has been heard from the drone")
@@ -46,7 +40,7 @@ UNHEARD = unmet("localization", ("R11", "X6"), "nothing has been heard from the 
 def evaluate(run: Step, request: ManeuverRequest) -> None:
     """Detected -> validated -> planned, or blocked. Source: paper III-C, III-G."""
     intent = intended(run, request)
-    run.be(return_at_s=None)  # if it is refused, the way back is announced anew
+    run.state = replace(run.state, return_at_s=None)  # if it is refused, the way back is announced anew
     run.go(Cause.REQUEST)
     if isinstance(intent, Finding):
         run.go(Cause.CONFIDENCE_OK)
@@ -76,7 +70,7 @@ def consider(run: Step, request: ManeuverRequest, intent: Intent, *, may_delay: 
     s, situation = run.state, run.situation()
     if situation is None:
         refuse(run, request, UNHEARD)
-        run.go(Cause.CONFIDENCE_LOW)
+        run.go(Cause.CONFIDENCE_LOW if s.state is State.DETECTED else Cause.GUARDS_FAILED)
         return
     offer = s.policy.replace == "offer"
     decision = decide(request, intent, situation, s.limits, may_delay=may_delay, offer=offer, rules=s.rules)
@@ -86,13 +80,18 @@ def consider(run: Step, request: ManeuverRequest, intent: Intent, *, may_delay: 
     if unsure or decision.verdict in (Verdict.REJECTED, Verdict.REPLACED):
         decided(run, request, decision)
         if decision.verdict is Verdict.REPLACED:
-            run.be(leftover=Leftover(intent.primitive, intent.amount, run.now_s, decision.slowness))
-        run.go(Cause.GUARDS_FAILED)
+            run.state = replace(
+                run.state, leftover=Leftover(intent.primitive, intent.amount, run.now_s, decision.slowness)
+            )
+        if run.state.state is not State.BLOCKED:
+            run.go(Cause.GUARDS_FAILED)
     elif decision.verdict is Verdict.DELAYED:
         decided(run, request, decision)
         run.go(Cause.DELAY)
         deadline_s = run.now_s + s.limits.delay_s
-        run.be(deciding=Deciding(request, intent, decision, deadline_s), rechecked_at_s=run.now_s)
+        run.state = replace(
+            run.state, deciding=Deciding(request, intent, decision, deadline_s), rechecked_at_s=run.now_s
+        )
     else:
         run.go(Cause.GUARDS_OK)
         if s.policy.dry_run:
@@ -111,12 +110,12 @@ def recheck(run: Step) -> None:
     request, intent, over = deciding.request, deciding.intent, run.now_s >= deciding.deadline_s
     if not over and run.now_s - s.rechecked_at_s < RECHECK_S:
         return
-    run.be(rechecked_at_s=run.now_s)
+    run.state = replace(run.state, rechecked_at_s=run.now_s)
     if not over:
         again = decide(request, intent, situation, s.limits, may_delay=False, rules=s.rules)
         if again.verdict is not Verdict.APPROVED:
             return
-    run.be(deciding=None)
+    run.state = replace(run.state, deciding=None)
     run.go(Cause.DELAY_OVER)
     consider(run, request, intent, may_delay=False)
 
@@ -129,9 +128,9 @@ def reserve(run: Step, request: ManeuverRequest | None, intent: Intent, decision
     if decision.plan is None:
         raise RuntimeError("an approved decision carries its plan")
     returns = run.state.returns + (request is None)
-    ask_id = request.id if request is not None else f"{RETURN_ID}-{returns}"
-    deadline_s = run.now_s + RESERVATION_TIMEOUT_S
-    run.be(deciding=Deciding(request, intent, decision, deadline_s, ask_id), returns=returns)
+    ask_id = request.id if request is not None else f"return-{returns}"
+    deadline_s = run.now_s + run.state.limits.reservation_timeout_s
+    run.state = replace(run.state, deciding=Deciding(request, intent, decision, deadline_s, ask_id), returns=returns)
     sigma_m, limits = run.vehicle.sigma_m, run.state.limits
     run.do(Reserve(ask_id, swept_volume(decision.plan, run.session.colour, sigma_m, run.now_s, limits)))
 
@@ -156,7 +155,7 @@ def reservation_answered(run: Step, event: ReservationAnswered) -> None:
         run.do(Release(event.request_id))
         turn_down(run, deciding, findings, Cause.GUARDS_FAILED)
         return
-    run.be(deciding=None, leftover=None)
+    run.state = replace(run.state, deciding=None, leftover=None)
     if deciding.request is not None:
         decided(run, deciding.request, deciding.decision)
     execution.begin(run, event.request_id, plan, situation, findings, asked_for=deciding.request is not None)
@@ -194,9 +193,11 @@ def deny(run: Step, deciding: Deciding, reason: str) -> None:
 
 def turn_down(run: Step, deciding: Deciding, findings: tuple[Finding, ...], cause: Cause) -> None:
     """What had been approved is rejected after all; the way back is tried again a little later."""
-    run.be(deciding=None)
+    run.state = replace(run.state, deciding=None)
     if deciding.request is None:
-        run.be(return_at_s=None, settling_since_s=run.now_s + run.state.limits.delay_s)
+        run.state = replace(
+            run.state, return_at_s=None, return_judged_from_s=run.now_s + run.state.limits.delay_s + RECHECK_S
+        )
         run.tell(f"not returning yet, {wording.reasons(findings)}")
         return
     decision = replace(
@@ -214,7 +215,7 @@ def turn_down(run: Step, deciding: Deciding, findings: tuple[Finding, ...], caus
 def withdraw(run: Step, why: str, requirement: str) -> None:
     """Whatever waits for its final decision gets it: rejected."""
     deciding, pending = run.state.deciding, run.state.pending
-    run.be(deciding=None, pending=None)
+    run.state = replace(run.state, deciding=None, pending=None)
     if deciding is not None:
         give_back(run, deciding)
         if deciding.request is not None:
@@ -242,10 +243,10 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
     run.do(reports.decision(decision))
     match decision.verdict:
         case Verdict.APPROVED | Verdict.REDUCED:
-            run.count("approved")
+            run.count(Tally(approved=1))
         case Verdict.REJECTED | Verdict.REPLACED:
-            run.count("rejected")
-            if is_of_now(request, run.now_s):
+            run.count(Tally(rejected=1))
+            if is_of_now(request, run.now_s, run.state.limits):
                 remember(run, request, refused=True)
     colour = run.state.session.colour if run.state.session else "no drone"
     text = wording.decided(colour, wording.asked(request), decision)
@@ -254,8 +255,11 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
 
 def remember(run: Step, request: ManeuverRequest, *, refused: bool = False) -> None:
     """For what the next request of another modality has to do with it. Source: X5."""
-    kept_s = 2.0 * run.state.limits.fusion_window_s + STALE_REQUEST_S
-    run.be(recent=fusion.remember(run.state.recent, request, run.now_s - kept_s, refused=refused))
+    limits = run.state.limits
+    kept_s = 2.0 * limits.fusion_window_s + limits.request_age_s
+    run.state = replace(
+        run.state, recent=fusion.remember(run.state.recent, request, run.now_s - kept_s, refused=refused)
+    )
 
 
 def _asked_m(run: Step, request: ManeuverRequest) -> float | None:

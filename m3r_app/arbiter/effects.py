@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from m3r_app.arbiter.modes import Cause, State
 from safety.vocabulary import (
     Plan,
     ReservedVolume,
@@ -82,4 +83,12 @@ class LetGo:
     vehicle_lost: bool = False
 
 
-Effect = Report | Announce | Pair | FaceOperator | Fly | Hold | Reserve | Release | LetGo
+@dataclass(frozen=True, slots=True)
+class ImpossibleTransition:
+    """A fault in the arbiter: it wanted a transition that the mode machine does not have, and was not given it."""
+
+    state: State
+    cause: Cause
+
+
+Effect = ImpossibleTransition | Report | Announce | Pair | FaceOperator | Fly | Hold | Reserve | Release | LetGo

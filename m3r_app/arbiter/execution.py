@@ -10,10 +10,10 @@ from dataclasses import replace
 from typing import Literal
 
 from m3r_app.arbiter import reports, wording
-from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
+from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.effects import Fly, Hold, Release
 from m3r_app.arbiter.modes import Cause, State
-from m3r_app.arbiter.state import Flight, Leftover
+from m3r_app.arbiter.state import Flight, Leftover, Tally
 from safety.confidence import unfit_to_fly
 from safety.frames import wrap_deg
 from safety.monitor import Watch, watch
@@ -22,11 +22,6 @@ from safety.situation import Situation
 from safety.supervisor import FULL_TURN_DEG
 from safety.vocabulary import Finding, Ned, Plan, Primitive, VehicleState
 
-ARRIVED_M = 0.1
-LINGER_S = 2.0
-"""In wind, and with a noisy estimate, a drone may rest off its goal, within the tube; it has arrived after so much longer."""
-ENGAGING_S = 1.0
-"""So long the autopilot may take to enter Offboard and say so."""
 UNHEARD = "nothing was heard from it for a moment"
 
 
@@ -40,7 +35,7 @@ def begin(
     seen = watch(situation, plan, 0.0, s.speed_m_s, {}, s.limits, s.rules)
     baseline = {(kind, rule, of): m for (kind, rule, of), m in seen.negative.items() if (rule, of) in mending}
     flight = Flight(request_id, plan, run.now_s, vehicle.position, vehicle.yaw_deg, baseline, asked_for=asked_for)
-    run.be(flight=flight, return_at_s=None, may_return=False)
+    run.state = replace(run.state, flight=flight, return_at_s=None, may_return=False)
     run.do(Fly(plan))
     run.do(reports.motion(flight, "started", Ned(0.0, 0.0, 0.0)))
 
@@ -55,7 +50,7 @@ def measure(run: Step, vehicle: VehicleState) -> None:
         yaw_deg=flight.measured.yaw_deg + wrap_deg(vehicle.yaw_deg - flight.last_yaw_deg),
         max_speed_m_s=max(flight.measured.max_speed_m_s, run.state.speed_m_s),
     )
-    run.be(flight=replace(flight, measured=measured, last_yaw_deg=vehicle.yaw_deg))
+    run.state = replace(run.state, flight=replace(flight, measured=measured, last_yaw_deg=vehicle.yaw_deg))
 
 
 def measure_distances(run: Step, flight: Flight, seen: Watch) -> None:
@@ -65,7 +60,7 @@ def measure_distances(run: Step, flight: Flight, seen: Watch) -> None:
         min_clearance_m=_least(flight.measured.min_clearance_m, seen.clearance_m),
         min_separation_m=_least(flight.measured.min_separation_m, seen.separation_m),
     )
-    run.be(flight=replace(flight, measured=measured, baseline=seen.negative))
+    run.state = replace(run.state, flight=replace(flight, measured=measured, baseline=seen.negative))
 
 
 def _least(a: float | None, b: float | None) -> float | None:
@@ -79,11 +74,11 @@ def arrive(run: Step, vehicle: VehicleState) -> None:
     flight = run.state.flight
     if flight is None:
         return
-    plan, elapsed_s = flight.plan, run.now_s - flight.started_at_s
-    facing = abs(wrap_deg(vehicle.yaw_deg - plan.yaw_deg(plan.duration_s))) <= FACING_TOLERANCE_DEG
+    plan, limits, elapsed_s = flight.plan, run.state.limits, run.now_s - flight.started_at_s
+    facing = abs(wrap_deg(vehicle.yaw_deg - plan.yaw_deg(plan.duration_s))) <= limits.facing_tolerance_deg
     off_m = vehicle.position.minus(plan.goal).norm
-    lingers = elapsed_s >= plan.duration_s + LINGER_S and off_m <= run.state.limits.tracking_m
-    there = off_m <= ARRIVED_M or lingers
+    lingers = elapsed_s >= plan.duration_s + limits.linger_s and off_m <= limits.tracking_m
+    there = off_m <= limits.arrived_m or lingers
     if not (elapsed_s >= plan.duration_s and there and facing and run.at_rest(vehicle)):
         return
     returning = run.state.state is State.RETURN_TO_ANCHOR
@@ -104,8 +99,8 @@ def end(run: Step, status: Literal["completed", "aborted"]) -> None:
     run.do(reports.motion(flight, status, run.vehicle.position.minus(flight.origin)))
     run.do(Release(flight.request_id))
     if flight.asked_for:
-        run.count(status)
-    run.be(flight=None)
+        run.count(Tally(completed=1) if status == "completed" else Tally(aborted=1))
+    run.state = replace(run.state, flight=None)
 
 
 def trouble(run: Step, vehicle: VehicleState, last: VehicleState | None) -> str | None:
@@ -115,7 +110,7 @@ def trouble(run: Step, vehicle: VehicleState, last: VehicleState | None) -> str 
         return None
     if last is not None and not vehicle.at_s - last.at_s <= limits.telemetry_age_s:
         return UNHEARD
-    if vehicle.flight_mode != "OFFBOARD" and run.now_s - flight.started_at_s > ENGAGING_S:
+    if vehicle.flight_mode != "OFFBOARD" and run.now_s - flight.started_at_s > limits.engaging_s:
         return f"the autopilot left offboard for {vehicle.flight_mode}"
     return unfit_to_fly(vehicle, limits)
 
@@ -126,7 +121,7 @@ def drop(run: Step, why: str) -> None:
         return
     run.do(Hold("stalled"))
     end(run, "aborted")
-    run.settle(Cause.STALLED)
+    run.go(Cause.STALLED)
     run.tell(f"holding, {why}; ask again")
 
 
@@ -147,7 +142,7 @@ def leftover(run: Step) -> Leftover | None:
     if plan.primitive.is_scan:
         turned_deg = math.copysign(flight.measured.yaw_deg, flight.measured.yaw_deg * plan.turn_deg)
         left_deg = min(abs(plan.turn_deg), FULL_TURN_DEG) - turned_deg
-        if not left_deg > FACING_TOLERANCE_DEG:
+        if not left_deg > limits.facing_tolerance_deg:
             return None
         return Leftover(plan.primitive, min(left_deg, FULL_TURN_DEG), run.now_s)
     moved, d = vehicle.position.minus(plan.start), plan.direction

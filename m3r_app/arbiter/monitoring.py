@@ -26,14 +26,14 @@ def monitor(run: Step) -> bool:
     flight = s.flight
     if situation is None or (flight is None and run.now_s - s.checked_at_s < RECHECK_S):
         return True
-    run.be(checked_at_s=run.now_s)
+    run.state = replace(run.state, checked_at_s=run.now_s)
     plan = flight.plan if flight else None
     elapsed_s = run.now_s - flight.started_at_s if flight else 0.0
     baseline = flight.baseline if flight else {}
     seen = watch(situation, plan, elapsed_s, s.speed_m_s, baseline, s.limits, s.rules)
     broken = [b for b in seen.breaches if b.kind == "actual"]
     news = [b for b in broken if b.constraint not in s.breached]
-    run.be(breached=frozenset(b.constraint for b in broken))
+    run.state = replace(run.state, breached=frozenset(b.constraint for b in broken))
     if flight is not None:
         execution.measure_distances(run, flight, seen)
         aborts = [b for b in seen.breaches if not b.mending]
@@ -55,7 +55,7 @@ def confirm(run: Step, vehicle: VehicleState) -> None:
     for suspected in run.state.suspected:
         if suspected not in waiting:
             run.violated(suspected)
-    run.be(suspected=waiting)
+    run.state = replace(run.state, suspected=waiting)
 
 
 def jumped(run: Step, vehicle: VehicleState, last: VehicleState) -> bool:
@@ -66,7 +66,7 @@ def jumped(run: Step, vehicle: VehicleState, last: VehicleState) -> bool:
     session = run.session
     if session.centre is not None:
         # The places of the session are what they were; what they are called has changed.
-        run.be(session=replace(session, centre=session.centre.plus(off), hover=()))
+        run.state = replace(run.state, session=replace(session, centre=session.centre.plus(off), hover=()))
     hold_anew(run, f"its position estimate jumped by {off.norm:.1f} m")
     return True
 
@@ -78,12 +78,12 @@ def hold_anew(run: Step, why: str) -> None:
         return
     run.do(Hold("estimate moved"))
     if s.state is State.FACING:
-        run.be(session=replace(s.session, hover=()))
+        run.state = replace(run.state, session=replace(s.session, hover=()))
         run.do(FaceOperator(bearing_deg(s.vehicle.position, s.session.operator.position)))
         return
     if s.session.anchor is not None:
         run.anchor_here(s.vehicle)
-    run.be(return_at_s=None, may_return=False)
+    run.state = replace(run.state, return_at_s=None, may_return=False)
     if s.flight is not None:
         execution.drop(run, why)
     else:
@@ -99,7 +99,7 @@ def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
             _report(run, breach, "abort")
     execution.end(run, "aborted")
     run.go(Cause.VIOLATION)
-    run.be(return_at_s=None, may_return=policy == "auto" and outward)
+    run.state = replace(run.state, return_at_s=None, may_return=policy == "auto" and outward)
     run.tell(f"holding, {wording.told(aborts)}")
     if policy == "ask":
         run.tell("say continue to return to the anchor")
@@ -111,20 +111,20 @@ def way_back(run: Step) -> None:
     if not s.may_return or s.deciding is not None or situation is None:
         return
     vehicle, limits = situation.vehicle, s.limits
-    if not run.at_rest(vehicle) or run.now_s - s.settling_since_s < RECHECK_S:
+    if not run.at_rest(vehicle) or run.now_s < s.return_judged_from_s:
         return
-    run.be(settling_since_s=run.now_s)
+    run.state = replace(run.state, return_judged_from_s=run.now_s + RECHECK_S)
     anchor, operator = situation.anchor, situation.operator.position
     try:
         plan = plan_return(vehicle.position, vehicle.yaw_deg, operator, anchor.position, limits, anchor.yaw_deg)
     except ValueError:  # nowhere near, or unknown: there is no way that could be judged
-        run.be(return_at_s=None)
+        run.state = replace(run.state, return_at_s=None)
         return
-    decision = decide_plan(decisions.RETURN_ID, plan, None, situation, limits, rules=s.rules)
+    decision = decide_plan(None, plan, None, situation, limits, rules=s.rules)
     if decision.verdict is not Verdict.APPROVED:
-        run.be(return_at_s=None)
+        run.state = replace(run.state, return_at_s=None)
     elif s.return_at_s is None:
-        run.be(return_at_s=run.now_s + limits.return_after_s)
+        run.state = replace(run.state, return_at_s=run.now_s + limits.return_after_s)
         run.tell(f"returning to the anchor in {limits.return_after_s:.0f} seconds")
     elif run.now_s >= s.return_at_s:
         decisions.reserve(run, None, decisions.BACK, decision)
@@ -132,7 +132,7 @@ def way_back(run: Step) -> None:
 
 def _report(run: Step, breach: Breach, action: str) -> None:
     if breach.kind == "actual":
-        run.be(suspected=(*run.state.suspected, Suspected(breach, action, run.now_s)))
+        run.state = replace(run.state, suspected=(*run.state.suspected, Suspected(breach, action, run.now_s)))
         confirm(run, run.vehicle)
     else:
         run.do(reports.violation(breach, action))

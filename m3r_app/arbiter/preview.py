@@ -30,7 +30,7 @@ class Preview:
 
 def preview(state: ArbiterState, request: ManeuverRequest, now_s: float) -> Preview:
     """The answer that `request` would get at `now_s`."""
-    dry = state.but(policy=replace(state.policy, dry_run=True))
+    dry = replace(state, policy=replace(state.policy, dry_run=True))
     after, effects = step(dry, Requested(request, 0.0), now_s)
     decisions = [e.fields for e in effects if isinstance(e, Report) and e.event == "decision"]
     told = [e.text.replace("dry run, ", "") for e in effects if isinstance(e, Announce)]

@@ -6,6 +6,7 @@ Source: X4, X5, X6, X14; paper III-C (request), design 2, 5, 6.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from m3r_app.arbiter import decisions, execution, reports, sessions
 from m3r_app.arbiter.context import Step
@@ -14,13 +15,12 @@ from m3r_app.arbiter.effects import Hold
 from m3r_app.arbiter.events import Requested
 from m3r_app.arbiter.fusion import Relation, fused, relate
 from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.state import Tally
 from m3r_app.arbiter.wording import asked
 from safety.confidence import input_confidence
 from safety.vocabulary import Command, Finding, ManeuverRequest
 
 STOPPED = "the operator said stop"
-SETTLING_TIMEOUT_S = 10.0
-"""A request that waits for the drone to come to rest is refused after this."""
 NO_MANEUVER = frozenset({Command.STOP, Command.ACTIVATE, Command.DISCONNECT})
 """These neither confirm nor contradict."""
 
@@ -44,7 +44,7 @@ def requested(run: Step, event: Requested) -> None:
         else:
             relation = Relation.NEW  # doubt and doubt make no certainty: each is judged alone
     run.do(reports.request(request, event.latency_ms))
-    run.count("requests")
+    run.count(Tally(requests=1))
     match request.command:
         case Command.STOP:
             stop(run, request)
@@ -64,7 +64,7 @@ def requested(run: Step, event: Requested) -> None:
 
 def too_late(run: Step, request: ManeuverRequest) -> Finding | None:
     """What was asked long ago, or before STOP, is no request of now. Source: X4, X6."""
-    if not is_of_now(request, run.now_s):
+    if not is_of_now(request, run.now_s, run.state.limits):
         age_s = run.now_s - request.captured_at_s
         old = f"{age_s:.0f} s ago" if math.isfinite(age_s) and age_s > 0.0 else "at a time that cannot be"
         return unmet("input_confidence", ("R11", "X6"), f"it was asked {old}; ask again")
@@ -77,7 +77,7 @@ def stop(run: Step, request: ManeuverRequest) -> None:
     """X4: the hold has been commanded; now the rest. What was asked before can neither be confirmed nor contradicted."""
     # min() keeps its first argument where the second is NaN.
     stopped_at_s = max(run.state.stopped_at_s, min(run.now_s, request.captured_at_s))
-    run.be(stopped_at_s=stopped_at_s, recent=())
+    run.state = replace(run.state, stopped_at_s=stopped_at_s, recent=())
     if run.state.state in (State.PAIRING, State.FACING):
         sessions.call_off_pairing(run, STOPPED)
         return
@@ -85,10 +85,10 @@ def stop(run: Step, request: ManeuverRequest) -> None:
         run.tell("nothing to hold, this app has no authority over a drone")
         return
     decisions.withdraw(run, STOPPED, "X4")
-    run.be(leftover=execution.leftover(run), return_at_s=None, may_return=False)
+    run.state = replace(run.state, leftover=execution.leftover(run), return_at_s=None, may_return=False)
     execution.end(run, "aborted")
     if run.can(Cause.STOP):
-        run.settle(Cause.STOP)
+        run.go(Cause.STOP)
     run.tell("holding")
 
 
@@ -109,7 +109,7 @@ def confirm(run: Step, request: ManeuverRequest) -> None:
     decisions.remember(run, request)
     pending = run.state.pending
     if pending is not None and pending.id == request.id and request.confidence > pending.confidence:
-        run.be(pending=request)
+        run.state = replace(run.state, pending=request)
 
 
 def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> None:
@@ -118,10 +118,10 @@ def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> N
     if run.state.flight is not None:
         run.do(Hold("contradiction"))
     decisions.withdraw(run, why, "X5")
-    run.be(leftover=None, return_at_s=None, may_return=False)
+    run.state = replace(run.state, leftover=None, return_at_s=None, may_return=False)
     execution.end(run, "aborted")
     if run.can(Cause.CONTRADICTED):
-        run.settle(Cause.CONTRADICTED)
+        run.go(Cause.CONTRADICTED)
     refuse(run, request, unmet("contradiction", ("X5",), why))
 
 
@@ -129,38 +129,38 @@ def maneuver(run: Step, request: ManeuverRequest) -> None:
     """A move, turn or continue: interrupt what runs (X14), then evaluate."""
     decisions.remember(run, request)
     if request.command is not Command.CONTINUE:
-        run.be(leftover=None)
+        run.state = replace(run.state, leftover=None)
     decisions.withdraw(run, "a newer request came first", "X14")
-    if run.state.state in (State.ARMED, State.EMERGENCY_HOLD):
-        decisions.evaluate(run, request)
-        return
     if run.state.flight is not None:
         run.do(Hold("interrupted"))
         execution.end(run, "aborted")
     if run.can(Cause.INTERRUPTED):
-        run.settle(Cause.INTERRUPTED)
-    run.be(pending=request)
+        run.go(Cause.INTERRUPTED)
+    if run.state.state in (State.ARMED, State.EMERGENCY_HOLD):
+        decisions.evaluate(run, request)
+        return
+    run.state = replace(run.state, pending=request)
     come_to_rest(run)
 
 
 def come_to_rest(run: Step) -> None:
     """Design 2: the new anchor is where the motion has stopped; then what waited is evaluated."""
     vehicle, pending = run.state.vehicle, run.state.pending
-    fresh = vehicle is not None and vehicle.at_s >= run.state.settling_since_s
-    if run.state.state is not State.SETTLING or vehicle is None or not fresh:
+    since_s = run.state.settling_since_s
+    if since_s is None or vehicle is None or not vehicle.at_s >= since_s:
         return
     if not run.at_rest(vehicle):
         return
     run.anchor_here(vehicle)
     run.go(Cause.SETTLED)
     if pending is not None:
-        run.be(pending=None)
+        run.state = replace(run.state, pending=None)
         decisions.evaluate(run, pending)
 
 
 def overdue(run: Step) -> None:
     """The drone does not come to rest."""
-    pending = run.state.pending
-    if pending is not None and run.now_s - run.state.settling_since_s > SETTLING_TIMEOUT_S:
-        run.be(pending=None)
-        refuse(run, pending, unmet("envelope", ("R8",), f"it has not come to rest for {SETTLING_TIMEOUT_S:.0f} s"))
+    pending, since_s, timeout_s = run.state.pending, run.state.settling_since_s, run.state.limits.settling_timeout_s
+    if pending is not None and since_s is not None and run.now_s - since_s > timeout_s:
+        run.state = replace(run.state, pending=None)
+        refuse(run, pending, unmet("envelope", ("R8",), f"it has not come to rest for {timeout_s:.0f} s"))

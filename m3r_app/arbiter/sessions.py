@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from m3r_app.arbiter import decisions, execution, reports
-from m3r_app.arbiter.context import FACING_TOLERANCE_DEG, Step
+from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.effects import Announce, FaceOperator, Hold, LetGo, LetGoCommand, Pair
 from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.arbiter.modes import Cause, State
@@ -20,11 +20,8 @@ from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_nois
 from safety.frames import bearing_deg, wrap_deg
 from safety.vocabulary import Finding, ManeuverRequest, Path, VehicleState
 
-FACING_TIMEOUT_S = 20.0
 TOLD_WHOLE_S = 1.2
 """That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
-UNLOCATED_S = 3.0
-"""So long a drone may be without a position before it is told to land, where that is chosen."""
 OURS = frozenset({"OFFBOARD", "HOLD"})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 
@@ -34,7 +31,7 @@ OURS = frozenset({"OFFBOARD", "HOLD"})
 def activate(run: Step, colour: str, doubt: Finding | None = None) -> None:
     """Ask the shell to pair, unless something is against it."""
     if doubt is None and run.can(Cause.PAIR_REQUESTED):
-        run.be(pairing=colour, pairing_off=None)
+        run.state = replace(run.state, pairing=colour, pairing_off=None)
         run.go(Cause.PAIR_REQUESTED)
         run.do(Pair(colour))
         return
@@ -60,7 +57,7 @@ def pairing_answered(run: Step, event: PairingAnswered) -> None:
         reasons = reasons or ("nothing has been heard from it",)
     elif not reasons:
         session = Session(event.colour, event.operator, event.world, run.now_s, restarts=run.vehicle.restarts)
-        run.be(session=session, breached=frozenset(), suspected=(), down_since_s=None)
+        run.state = replace(run.state, session=session, breached=frozenset(), suspected=(), down_since_s=None)
         run.go(Cause.PAIR_ACCEPTED)
         run.do(FaceOperator(bearing_deg(run.vehicle.position, event.operator.position)))
         return
@@ -76,10 +73,10 @@ def face(run: Step, vehicle: VehicleState) -> None:
     """
     limits = run.state.limits
     session = replace(run.session, hover=with_hover(run.session.hover, vehicle, run.state.motion, limits.learn_s))
-    run.be(session=session)
+    run.state = replace(run.state, session=session)
     off_deg = abs(wrap_deg(bearing_deg(vehicle.position, session.operator.position) - vehicle.yaw_deg))
     seen_s = spans_s(session.hover)
-    if not (off_deg <= FACING_TOLERANCE_DEG and seen_s >= limits.hover_s):
+    if not (off_deg <= limits.facing_tolerance_deg and seen_s >= limits.hover_s):
         return
     lately = tuple(s for s in session.hover if vehicle.at_s - s.at_s <= limits.hover_s)
     if spans_s(lately) < 0.5 * limits.hover_s:
@@ -97,9 +94,9 @@ def face(run: Step, vehicle: VehicleState) -> None:
         if not run.state.motion.rests(noise, wider):
             return
         session = replace(session, configured=limits, noise=noise)
-        run.be(limits=wider)
+        run.state = replace(run.state, limits=wider)
         told = f"; its position wanders by {noise.position_m:.1f} m, so it keeps {wider.tracking_m - limits.tracking_m:.1f} m more from everything"
-    run.be(session=replace(session, centre=vehicle.position, paired_at_s=run.now_s, hover=()))
+    run.state = replace(run.state, session=replace(session, centre=vehicle.position, paired_at_s=run.now_s, hover=()))
     run.anchor_here(vehicle)
     run.go(Cause.FACING_OPERATOR)
     run.do(reports.pair(session.colour, "confirmed"))
@@ -112,7 +109,7 @@ def face(run: Step, vehicle: VehicleState) -> None:
 def call_off_pairing(run: Step, why: str) -> None:
     """The operator or the end of the run wants no pairing any more: no motion comes of it. Source: X4."""
     if run.state.state is State.PAIRING:
-        run.be(pairing_off=why)
+        run.state = replace(run.state, pairing_off=why)
         run.tell(f"not pairing, {why}")
     elif run.state.state is State.FACING:
         refuse_pairing(run, run.session.colour, (why,), taken=True)
@@ -120,16 +117,17 @@ def call_off_pairing(run: Step, why: str) -> None:
 
 def overdue(run: Step) -> None:
     """The drone does not come to face the operator."""
-    if run.state.state is State.FACING and run.now_s - run.session.accepted_at_s > FACING_TIMEOUT_S:
-        call_off_pairing(run, f"it did not come to rest facing the operator within {FACING_TIMEOUT_S:.0f} s")
+    timeout_s = run.state.limits.facing_timeout_s
+    if run.state.state is State.FACING and run.now_s - run.session.accepted_at_s > timeout_s:
+        call_off_pairing(run, f"it did not come to rest facing the operator within {timeout_s:.0f} s")
 
 
 def refuse_pairing(run: Step, colour: str, reasons: tuple[str, ...], *, taken: bool) -> None:
     """taken: the drone has been taken for it, and is left in Hold."""
     _say_not_paired(run, colour, *reasons)
-    run.be(session=None, pairing=None, pairing_off=None)
+    run.state = replace(run.state, session=None, pairing=None, pairing_off=None)
     if taken:
-        run.be(vehicle=None)
+        run.state = replace(run.state, vehicle=None)
         run.do(LetGo("hold"))
     run.go(Cause.PAIR_REFUSED)
 
@@ -165,7 +163,10 @@ def lost(run: Step, vehicle: VehicleState) -> bool:
     A Hold that this app did not ask for is somebody's STOP, or the autopilot's own: only a new pairing goes on (design 4).
     """
     down = vehicle.in_air is False or vehicle.armed is False
-    run.be(down_since_s=(run.now_s if run.state.down_since_s is None else run.state.down_since_s) if down else None)
+    run.state = replace(
+        run.state,
+        down_since_s=(run.now_s if run.state.down_since_s is None else run.state.down_since_s) if down else None,
+    )
     if vehicle.restarts > run.session.restarts:
         leave(run, Cause.AUTHORITY_LOST, "nothing", "its autopilot restarted in flight", vehicle_lost=True)
     elif run.state.down_since_s is not None and run.now_s - run.state.down_since_s < TOLD_WHOLE_S:
@@ -199,10 +200,10 @@ def unlocated(run: Step) -> None:
         return
     here = Path(np.array([situation.vehicle.position]), np.zeros(1))
     if localization(here, situation, s.limits).passed:
-        run.be(unlocated_since_s=None)
+        run.state = replace(run.state, unlocated_since_s=None)
     elif s.unlocated_since_s is None:
-        run.be(unlocated_since_s=run.now_s)
-    elif run.now_s - s.unlocated_since_s >= UNLOCATED_S:
+        run.state = replace(run.state, unlocated_since_s=run.now_s)
+    elif run.now_s - s.unlocated_since_s >= s.limits.position_lost_s:
         why = "it does not know where it is any more, so it is told to land"
         leave(run, Cause.AUTHORITY_LOST, "land", why)
 
@@ -221,7 +222,8 @@ def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_l
     run.tell(why)
     run.go(cause)
     run.do(reports.pair(session.colour, "released" if session.anchor is not None else "refused", why))
-    run.be(
+    run.state = replace(
+        run.state,
         session=None,
         pairing=None,
         vehicle=None,
@@ -229,6 +231,6 @@ def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_l
         recent=(),
         limits=session.configured or run.state.limits,
     )
-    run.be(return_at_s=None, may_return=False, breached=frozenset(), suspected=())
-    run.be(down_since_s=None, unlocated_since_s=None)
+    run.state = replace(run.state, return_at_s=None, may_return=False, breached=frozenset(), suspected=())
+    run.state = replace(run.state, down_since_s=None, unlocated_since_s=None)
     run.do(LetGo(command, vehicle_lost))

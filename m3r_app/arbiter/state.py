@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from m3r_app.arbiter.fusion import Remembered
@@ -75,7 +75,8 @@ class Measured:
 class Flight:
     """What is being flown. baseline: the margins that were already negative when it began, which may only rise (X13).
 
-    request_id: whose it is, and under which its airspace is reserved; asked_for: False: the way back, which nobody asked for.
+    request_id: of the request, or of this way back alone; its airspace is reserved under it. asked_for: False: the way
+    back, which nobody asked for.
     """
 
     request_id: str
@@ -136,6 +137,10 @@ class Tally:
     rejected: int = 0
     violations: int = 0
 
+    def plus(self, more: Tally) -> Tally:
+        """Both together."""
+        return Tally(*(getattr(self, f.name) + getattr(more, f.name) for f in fields(Tally)))
+
 
 @dataclass(frozen=True, slots=True)
 class ArbiterState:
@@ -164,8 +169,10 @@ class ArbiterState:
     stopped_at_s: float = float("-inf")
     """When the last STOP was captured: what was asked before it is no new request (X4)."""
     leftover: Leftover | None = None
-    settling_since_s: float = 0.0
-    """Also when the way back was last judged."""
+    settling_since_s: float | None = None
+    """Since when the end of the motion is waited for; None: it is not."""
+    return_judged_from_s: float = float("-inf")
+    """The way back is not judged again before this."""
     checked_at_s: float = float("-inf")
     """When the hovering drone was last monitored."""
     rechecked_at_s: float = float("-inf")
@@ -201,7 +208,3 @@ class ArbiterState:
     def authority(self) -> bool:
         """Whether the drone is ours to command. Source: X3."""
         return self.session is not None
-
-    def but(self, **changes: object) -> ArbiterState:
-        """The same with some fields changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]

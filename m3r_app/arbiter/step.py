@@ -50,7 +50,7 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
         case TelemetryArrived():
             telemetry(run, event.vehicle)
         case NeighboursHeard():
-            run.be(neighbours=event.neighbours, reservations=event.reservations)
+            run.state = replace(run.state, neighbours=event.neighbours, reservations=event.reservations)
         case ReservationAnswered():
             decisions.reservation_answered(run, event)
         case Stalled() if state.state is State.FACING:
@@ -82,7 +82,7 @@ def telemetry(run: Step, heard: VehicleState) -> None:
     """The newest state of the drone: whose it is, then what it means for what goes on."""
     last = run.state.vehicle
     vehicle = replace(heard, disagreement=disagreement(heard, last))
-    run.be(vehicle=vehicle, motion=moved(run.state.motion, vehicle, last))
+    run.state = replace(run.state, vehicle=vehicle, motion=moved(run.state.motion, vehicle, last))
     if run.state.session is None or sessions.lost(run, vehicle):
         return
     monitoring.confirm(run, vehicle)

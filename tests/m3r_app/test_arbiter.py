@@ -12,7 +12,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from m3r_app.arbiter.effects import FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
+from m3r_app.arbiter.context import Step
+from m3r_app.arbiter.effects import FaceOperator, Fly, Hold, ImpossibleTransition, LetGo, Pair, Release, Report, Reserve
 from m3r_app.arbiter.events import (
     ClaimLost,
     Ended,
@@ -25,7 +26,7 @@ from m3r_app.arbiter.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.arbiter.modes import State
+from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.limits import Limits
@@ -1015,6 +1016,31 @@ def test_stop_while_a_request_is_decided_in_emergency_hold_stays_there() -> None
     table.wait(10.0)
     assert table.state.state is State.EMERGENCY_HOLD
     assert len(table.effects(Fly)) == 1
+
+
+@pytest.mark.requirement("R10", "X14")
+def test_a_newer_request_in_emergency_hold_is_decided_at_once() -> None:
+    """The one before still waits for its airspace; nothing is waited for that never comes."""
+    table = held().wait(1.0)
+    table.grant = None
+    first = table.ask(Command.GO_UP)
+    assert table.state.state is State.PLANNED
+    table.grant = "granted"
+    second = table.ask(Command.GO_RIGHT)
+    assert table.verdicts(first) == ["rejected"]
+    assert table.verdicts(second) == ["approved"]
+    assert table.state.state is State.EXECUTING
+
+
+@pytest.mark.requirement("P1")
+def test_a_transition_that_the_table_lacks_is_told_and_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In flight: the tests put an exception in the place of what tells it."""
+    monkeypatch.setattr("m3r_app.arbiter.context.impossible", ImpossibleTransition)
+    table = Tabletop().paired()
+    run = Step(table.state, table.now_s)
+    run.go(Cause.COMPLETED)
+    assert run.state is table.state
+    assert run.effects == [ImpossibleTransition(State.ARMED, Cause.COMPLETED)]
 
 
 @pytest.mark.requirement("R10")
