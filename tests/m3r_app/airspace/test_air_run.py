@@ -91,7 +91,11 @@ def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
     """It is said within 2 s, what flies is aborted, moves are refused, STOP is not, and the claim ends honestly, in Hold."""
     script = written(tmp_path / "script", "0.5 panel go left\n3.5 panel go up\n4 panel stop\n9 panel go up\n")
     with authority(air, tmp_path), simulated(PLAIN, tmp_path) as fleet:
-        alice = App(flight(air, fleet, "alice", "red", script))
+        slowly = [
+            "--set",
+            "envelope.speed_m_s=0.25",
+        ]  # so that it still flies when the news have come, on a busy machine too
+        alice = App([*flight(air, fleet, "alice", "red", script), *slowly])
         alice.until("motion", status="started")
         air.stop(hard=True)
         died_s = alice.events[-1]["t"]

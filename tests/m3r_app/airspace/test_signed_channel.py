@@ -117,7 +117,7 @@ async def test_no_authentic_nonsense_is_taken(at: int, value: Any) -> None:
     """Even who has the keys cannot say anything but what the messages are."""
     office, topic = Office(), str(TOPICS[at])
     office.arrive(topic, Signer(SIGNERS[at], bytes.fromhex(KEY)).seal(topic, json.dumps(value).encode()))
-    assert office.taken == [] and office.exchange.dropped == {"malformed": 1}
+    assert office.taken == [] and office.exchange.dropped in ({"malformed": 1}, {"too long": 1})
 
 
 async def test_what_was_kept_or_is_too_long_is_dropped() -> None:
