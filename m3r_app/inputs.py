@@ -17,6 +17,7 @@ from typing import Protocol, TypeVar
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
 from modalities.hands.gestures import Hand
+from modalities.notices import Say, SenseChange
 from modalities.script import ScriptedRequest, read_script
 from modalities.voice.push_to_talk import PushToTalk
 from modalities.voice.self_speech import SelfSpeech
@@ -114,7 +115,7 @@ class Voice:
         source: Path | LiveMicrophone,
         colours: tuple[str, ...],
         clock: Clock,
-        say: Told,
+        say: Say,
         talking: Callable[[], bool] | None = None,
         self_speech: SelfSpeech | None = None,
     ) -> None:
@@ -177,7 +178,7 @@ class Voice:
         )
         error = await _played(self._stream, ended)
         if microphone is not None:
-            self._say(f"voice is off ({_reason(error)}): use another way to say stop")
+            self._say(f"voice is off ({_reason(error)}): use another way to say stop", SenseChange.VOICE_OFF)
             await _for_ever()
         elif error is not None:
             raise InputError(f"the voice can no longer be heard ({error}): start again")
@@ -193,7 +194,7 @@ class Voice:
 class Hands:
     """The operator's hands in a video file or before a camera, and what finds them, loaded and ready."""
 
-    def __init__(self, source: object, settings: Gesture, clock: Clock, say: Told) -> None:
+    def __init__(self, source: object, settings: Gesture, clock: Clock, say: Say) -> None:
         """source: a Path or a CameraAddress. say: told, from any thread, what becomes of a camera.
 
         Raises VideoError for a file that cannot be read, ModelError, and CameraMissing for a camera that gives no picture.
@@ -251,10 +252,10 @@ class Hands:
         )
         error = await _played(self._stream, ended)
         if self._camera is not None:
-            self._say(f"hands are off ({_reason(error)}): use another way to say stop")
+            self._say(f"hands are off ({_reason(error)}): use another way to say stop", SenseChange.HANDS_OFF)
             await _for_ever()
         elif error is not None:
-            self._say(f"hands are off: {error}")
+            self._say(f"hands are off: {error}", SenseChange.HANDS_OFF)
         return None if error is None else str(error)
 
     def close(self) -> None:
@@ -314,7 +315,7 @@ def open_inputs(
     colours: tuple[str, ...],
     settings: Settings,
     clock: Clock,
-    say: Told,
+    say: Say,
     self_speech: SelfSpeech | None = None,
 ) -> Inputs:
     """Read and load everything that is to be played. self_speech: when the app itself spoke, by the same clock.

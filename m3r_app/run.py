@@ -13,21 +13,20 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import AsyncExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app.airspace.local import Airspace, LocalAirspace
 from m3r_app.arbiter.events import ClaimLost, PairingAnswered, PairingAsked
-from m3r_app.arbiter.modes import State
 from m3r_app.arbiter.state import ArbiterState, Policy, Tally
 from m3r_app.environment.static_scene import stage_of
 from m3r_app.exit_status import ExitStatus
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.options import RunOptions
+from m3r_app.output import AnnounceEvent, EndEvent, EndReason, Notice, OutputEvent, Told, fields_of, known
 from m3r_app.pairing import PairingLimits, objections
-from m3r_app.plain import plain
 from m3r_app.record.recorder import Recorder
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.runtime import Recording, Shell, request_event
@@ -40,9 +39,10 @@ from m3r_app.vehicle.guard import Guard
 from m3r_app.vehicle.interface import Links, VehicleError
 from m3r_app.vehicle.mavsdk_vehicle import Vehicle
 from modalities.hands.gestures import Hand
+from modalities.notices import SenseChange
 from modalities.voice.push_to_talk import PushToTalk
 from modalities.voice.self_speech import SelfSpeech
-from safety.vocabulary import Command, ManeuverRequest
+from safety.vocabulary import Command, ManeuverRequest, State
 
 if TYPE_CHECKING:
     from m3r_app.record.foxglove_server import Viewer
@@ -55,7 +55,7 @@ HELD_S = 5.0
 SETTLE_S = 10.0
 LAST_HOLD_S = 3.0
 T = TypeVar("T")
-Emit = Callable[[dict[str, object]], None]
+Emit = Callable[[Told], None]
 
 
 class NoPairing(Exception):  # noqa: N818  (it is an end, not an error)
@@ -111,11 +111,15 @@ class Run:
 
     # ------------------------------------------------------------ output
 
-    def emit(self, event: str, fields: dict[str, object]) -> None:
-        """One object of the output, also recorded."""
+    def emit(self, event: OutputEvent) -> None:
+        """One event of the output, also recorded."""
         now_s = self.clock()
-        self.record(event, now_s, fields)
-        self._emit({"t": round(now_s - self.started_s, 3), "event": event, **plain(fields, lossless=False)})
+        self.record(event.name, now_s, fields_of(event))
+        self._emit(Told(round(now_s - self.started_s, 3), known(event)))
+
+    def announce(self, sentence: str, notice: Notice = Notice.INFORMATION, /) -> None:
+        """Tell the operator."""
+        self.emit(AnnounceEvent(sentence, notice))
 
     def record(self, topic: str, t_s: float, data: dict[str, object]) -> None:
         for sink in self._sinks:
@@ -130,13 +134,13 @@ class Run:
         self.shell.inbox.put(request_event(request))
 
     def refuse_to_suspend(self) -> None:
-        self.emit("announce", {"text": "a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C"})
+        self.announce("a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C")
 
     # ------------------------------------------------------------ the whole
 
     async def whole(self) -> int:
         """Everything, raced against the interrupt and the time-out; always ends with `end`."""
-        reason = "error"
+        reason = EndReason.ERROR
         failure: Exception | None = None
         body = asyncio.create_task(self._body())
         stop = asyncio.create_task(self.interrupted.wait())
@@ -147,13 +151,13 @@ class Run:
             if body in done:
                 reason = body.result()
             else:
-                reason = "interrupted" if stop in done else "timeout"
+                reason = EndReason.INTERRUPTED if stop in done else EndReason.TIMEOUT
         except VehicleLost:
-            reason = "vehicle_lost"
+            reason = EndReason.VEHICLE_LOST
         except NoPairing:
-            reason = "error"
+            reason = EndReason.ERROR
         except VehicleError as error:
-            reason, failure = "vehicle_lost", error
+            reason, failure = EndReason.VEHICLE_LOST, error
         except Exception as error:  # noqa: BLE001  (the end object must come whatever happened)
             failure = error
         finally:
@@ -161,16 +165,16 @@ class Run:
             body.cancel()
             with contextlib.suppress(asyncio.CancelledError, Exception):
                 await body
-        no_vehicle = reason == "vehicle_lost" or (reason == "error" and failure is None)
+        no_vehicle = reason is EndReason.VEHICLE_LOST or (reason is EndReason.ERROR and failure is None)
         return self._end(reason, failure, no_vehicle=no_vehicle)
 
-    def _end(self, reason: str, failure: Exception | None, *, no_vehicle: bool) -> int:
+    def _end(self, reason: EndReason, failure: Exception | None, *, no_vehicle: bool) -> int:
         """The last object, the record closed, and the highest status that applies. Raises `failure` if nothing is higher."""
         tally = self.shell.state.tally if self.shell is not None else Tally()
-        self.emit("end", {"reason": reason, **plain(tally, lossless=False)})
+        self.emit(EndEvent(reason, **asdict(tally)))
         for sink in self._sinks:
             sink.close()
-        if reason == "interrupted":
+        if reason is EndReason.INTERRUPTED:
             return ExitStatus.INTERRUPTED
         if tally.violations:
             return ExitStatus.VIOLATED
@@ -178,7 +182,7 @@ class Run:
             raise failure
         return ExitStatus.NO_VEHICLE if no_vehicle else ExitStatus.ENDED
 
-    async def _body(self) -> str:
+    async def _body(self) -> EndReason:
         async with AsyncExitStack() as stack:
             setting = self.setting = await _in_thread(lambda: prepare(self.options))
             inputs = await _in_thread(
@@ -189,7 +193,7 @@ class Run:
             stack.callback(inputs.close)
             self.talk = inputs.talk
             for sentence in inputs.sentences:
-                self.emit("announce", {"text": sentence})
+                self.announce(sentence)
             await _in_thread(lambda: self._open_sinks(setting, inputs))
             self.record("stage", self.clock(), stage_of(setting.world, setting.operator))
             fleet = await self._connect(setting, stack)
@@ -200,7 +204,7 @@ class Run:
             shell = self.shell = self._shell(setting, fleet, guard, airspace)
             self.ground = GroundWork(
                 shell,
-                lambda text: self.emit("announce", {"text": text}),
+                self.announce,
                 lambda vehicle, metres: self._against(setting, vehicle, metres),
             )
             stack.push_async_callback(shell.close)
@@ -212,7 +216,7 @@ class Run:
                 for task in done:
                     task.result()
                 await shell.leave_in_hold(LAST_HOLD_S)
-        return "inputs_played"
+        return EndReason.INPUTS_PLAYED
 
     # ------------------------------------------------------------ before flying
 
@@ -265,7 +269,7 @@ class Run:
             vehicle.on_telemetry(partial(shared.publisher.telemetry, name))
         stack.push_async_callback(shared.close)
         await shared.open()
-        self.emit("announce", {"text": f"sharing the air of {credentials.area} at {broker} as {credentials.name}"})
+        self.announce(f"sharing the air of {credentials.area} at {broker} as {credentials.name}")
         return shared
 
     def _shell(self, setting: Setting, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
@@ -328,7 +332,7 @@ class Run:
             found = await self._against(setting, vehicle, takeoff_m)
             if found:
                 return found
-            self.emit("announce", {"text": f"{colour.capitalize()}: taking off to {takeoff_m:g} m"})
+            self.announce(f"{colour.capitalize()}: taking off to {takeoff_m:g} m", Notice.TAKING_OFF)
             await vehicle.takeoff(takeoff_m)
         found = await self._against(setting, vehicle, None)
         if found:
@@ -374,7 +378,7 @@ class Run:
         )
         if self.options.console:
             if damage is not None:
-                self.emit("announce", {"text": damage})
+                self.announce(damage, Notice.INPUT_DAMAGED)
             await self.quitted.wait()
             return
         await self._rest(shell)
@@ -423,13 +427,14 @@ class Run:
                     # STOP, the other drones and whatever comes of this one must stay in reach.
                     shell.inbox.put(ClaimLost(f"lost, silent for {LOST_S:.0f} s"))
                     continue
-                self.emit("announce", {"text": f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s"})
+                self.announce(f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s", Notice.VEHICLE_SILENT)
                 raise VehicleLost
 
-    def _say_soon(self, sentence: str) -> None:
+    def _say_soon(self, sentence: str, change: SenseChange | None = None, /) -> None:
         """Announce, from any thread."""
+        notice = Notice(change.value) if change is not None else Notice.INFORMATION
         with contextlib.suppress(RuntimeError):  # the loop has closed: there is nobody left to tell
-            self._loop.call_soon_threadsafe(lambda: self.emit("announce", {"text": sentence}))
+            self._loop.call_soon_threadsafe(lambda: self.announce(sentence, notice))
 
 
 async def _in_thread(work: Callable[[], T]) -> T:

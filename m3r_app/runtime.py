@@ -7,11 +7,12 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from typing import Any, Literal, Protocol, assert_never
 
 from m3r_app.airspace.local import Airspace
+from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.effects import (
-    Announce,
     Effect,
     FaceOperator,
     Fly,
@@ -38,6 +39,7 @@ from m3r_app.arbiter.events import (
 )
 from m3r_app.arbiter.state import ArbiterState
 from m3r_app.arbiter.step import step
+from m3r_app.output import AnnounceEvent, Notice, OutputEvent, PairEvent, PairStatus
 from m3r_app.snapshot import craft, margins
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
@@ -116,7 +118,7 @@ class Shell:
         airspace: Airspace,
         guard: Guard,
         clock: Callable[[], float],
-        emit: Callable[[str, dict[str, object]], None],
+        emit: Callable[[OutputEvent], None],
         recording: Recording,
         pair: Callable[[Shell, str], Coroutine[Any, Any, None]],
         declared_empty: bool,
@@ -259,15 +261,16 @@ class Shell:
                     f"a transition that the mode machine does not have was refused: {effect.cause} in {effect.state}"
                 )
                 self._recording.record("fault", now_s, {"text": fault})
-                self._emit("announce", {"text": f"{fault} (a fault in m3r)"})
+                self._emit(AnnounceEvent(f"{fault} (a fault in m3r)", Notice.FAULT))
             case Report():
-                self._emit(effect.event, self._with_places(effect))
-                if effect.event == "pair" and effect.fields.get("status") == "confirmed" and self.vehicle is not None:
+                self._emit(self._with_places(effect.told))
+                confirmed = isinstance(effect.told, PairEvent) and effect.told.status is PairStatus.CONFIRMED
+                if confirmed and self.vehicle is not None:
                     self._start(self._sound(self.vehicle))
             case Announce():
-                self._emit("announce", {"text": effect.text})
+                self._emit(AnnounceEvent(effect.text, effect.notice))
             case Pair():
-                self._emit("pair", self._with_places(Report("pair", _requested(effect.colour))))
+                self._emit(self._with_places(PairEvent(effect.colour, PairStatus.REQUESTED)))
                 self._pairing = self._start(self._pair(self, effect.colour))
             case FaceOperator():
                 self._watch_over()
@@ -324,7 +327,7 @@ class Shell:
                 try:
                     await vehicle.hold()
                 except VehicleError as error:
-                    self._emit("announce", {"text": str(error)})
+                    self._emit(AnnounceEvent(str(error), Notice.VEHICLE_ERROR))
             self.inbox.put(PairingAnswered(colour, ()))  # the arbiter knows why it is off
 
         self._start(hold())
@@ -402,7 +405,7 @@ class Shell:
                 if controller is not None:
                     await controller.let_go(command)
             except VehicleError as error:
-                self._emit("announce", {"text": str(error)})
+                self._emit(AnnounceEvent(str(error), Notice.VEHICLE_ERROR))
             finally:
                 if let_go is not None:
                     self.airspace.give_up(let_go.colour)  # not before we have stopped flying it
@@ -483,26 +486,18 @@ class Shell:
 
     # ------------------------------------------------------------ reports
 
-    def _with_places(self, report: Report) -> dict[str, object]:
-        """`pair` objects also say where operator and drone are."""
-        if report.event != "pair":
-            return report.fields
-        vehicle = self.fleet.vehicles.get(str(report.fields["vehicle"]))
+    def _with_places(self, event: OutputEvent) -> OutputEvent:
+        """`pair` events also say where operator and drone are."""
+        if not isinstance(event, PairEvent):
+            return event
+        vehicle = self.fleet.vehicles.get(event.vehicle)
         place = vehicle.telemetry().geodetic if vehicle is not None else None
-        return {
-            **report.fields,
-            "operator": list(self.frame.origin),
-            "vehicle_position": list(place) if place is not None else None,
-        }
+        return replace(event, operator=self.frame.origin, vehicle_position=place)
 
 
 def request_event(request: ManeuverRequest) -> Requested:
     """A modality's request as an event."""
     return Requested(request, 1000.0 * max(0.0, request.made_at_s - request.captured_at_s))
-
-
-def _requested(colour: str) -> dict[str, object]:
-    return {"vehicle": colour, "status": "requested", "reasons": []}
 
 
 def _recordable(value: Any) -> dict[str, object]:

@@ -6,10 +6,11 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
-from m3r_app.arbiter.modes import State
+from m3r_app.output import Announcing, Notice
 from m3r_app.runtime import Shell
 from m3r_app.vehicle.interface import VehicleError
 from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from safety.vocabulary import State
 
 HOLD_S = 5.0
 
@@ -20,7 +21,7 @@ class GroundWork:
     def __init__(
         self,
         shell: Shell,
-        say: Callable[[str], None],
+        say: Announcing,
         against: Callable[[Vehicle, float], Awaitable[tuple[str, ...]]],
     ) -> None:
         """against: everything that can be known on the ground against a take-off of a drone to so many metres. Source: X8."""
@@ -32,7 +33,9 @@ class GroundWork:
 
     def take_off(self, colour: str, metres: float) -> None:
         """Take off to `metres` above the ground here, and hold."""
-        self._begin(colour, f"taking off to {metres:g} m", lambda vehicle: self._take_off(vehicle, metres))
+        self._begin(
+            colour, f"taking off to {metres:g} m", Notice.TAKING_OFF, lambda vehicle: self._take_off(vehicle, metres)
+        )
 
     async def _take_off(self, vehicle: Vehicle, metres: float) -> None:
         reasons = await self._against(vehicle, metres)
@@ -41,7 +44,7 @@ class GroundWork:
         await vehicle.takeoff(metres)
 
     def land(self, colour: str) -> None:
-        self._begin(colour, "landing", lambda vehicle: vehicle.land())
+        self._begin(colour, "landing", Notice.LANDING, lambda vehicle: vehicle.land())
 
     def stop(self) -> None:
         """End what is under way, in Hold. Nothing is, nothing happens. Source: X4."""
@@ -51,7 +54,9 @@ class GroundWork:
         task.cancel()
         self._task = asyncio.create_task(self._hold(vehicle))
 
-    def _begin(self, colour: str, what: str, work: Callable[[Vehicle], Coroutine[Any, Any, None]]) -> None:
+    def _begin(
+        self, colour: str, what: str, notice: Notice, work: Callable[[Vehicle], Coroutine[Any, Any, None]]
+    ) -> None:
         name, vehicle = colour.capitalize(), self._shell.fleet.vehicles.get(colour)
         if vehicle is None:
             self._say(f"{name}: there is no such drone")
@@ -60,7 +65,7 @@ class GroundWork:
         elif self._task is not None and not self._task.done():
             self._say(f"{name}: not {what}, the last take-off or landing is not over")
         else:
-            self._say(f"{name}: {what}")
+            self._say(f"{name}: {what}", notice)
             self._vehicle = vehicle
             self._task = asyncio.create_task(self._carry_out(vehicle, what, work))
 

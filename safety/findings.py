@@ -72,12 +72,13 @@ def judge(
     far: bool = False,
     mending: Callable[[], bool] = lambda: False,
     of: str = "",
+    subject: str = "",
 ) -> Finding:
     """The finding for (n,) margins in metres at the points of a path and (n - 1,) least margins between them.
 
     spare: what it is ("terrain"); lack: the sentence for a failure, with {} for the number; unknown: the sentence where a
     margin is not finite. far: margins from SPARE_M on are only known to be at least that. mending: whether the path only
-    mends the limit, asked where it is broken (`mends`). of: the object, where the limit holds for each of several.
+    mends the limit, asked where it is broken (`mends`). of: the object, where the limit holds for each of several; subject: its name.
     """
     # Of so few numbers a list is faster than an array.
     margins = _listed(margins_m)
@@ -85,16 +86,16 @@ def judge(
     lowest = min((_listed(between_m) if between_m is not None else ()) or margins)
     # One sample that is not finite spoils the whole, even if it would be far away.
     if not math.isfinite(lowest + sum(margins)):
-        return Finding(constraint, requirements, None, "m", False, unknown)
+        return Finding(constraint, requirements, None, "m", False, unknown, subject=subject)
     if lowest >= -EPSILON:
         lowest = max(lowest, 0.0)
         size = f"at least {SPARE_M:.0f} m" if far and lowest >= SPARE_M else amount(lowest)
-        return Finding(constraint, requirements, lowest, "m", True, f"{spare}: {size} to spare")
+        return Finding(constraint, requirements, lowest, "m", True, f"{spare}: {size} to spare", subject=subject)
     text, below = lack.format(amount(lowest)), ((of, lowest),)
     if margins[0] < 0.0 and mending():
         text += " already, and this does not make it worse"
-        return Finding(constraint, requirements, lowest, "m", True, text, below)
-    return Finding(constraint, requirements, lowest, "m", False, text, below)
+        return Finding(constraint, requirements, lowest, "m", True, text, below, subject)
+    return Finding(constraint, requirements, lowest, "m", False, text, below, subject)
 
 
 def _listed(margins: Margins) -> list[float]:

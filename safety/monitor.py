@@ -52,6 +52,8 @@ class Breach:
     text: str
     mending: bool = False
     """It was broken when the plan was approved, and the plan has not made it worse (X13)."""
+    subject: str = ""
+    """The aircraft, obstacle or holder that it is about; empty: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,22 +162,28 @@ def _envelope(plan: Plan, elapsed_s: float, speed_m_s: float, situation: Situati
     along_m = moved.north * d.north + moved.east * d.east + moved.down * d.down
     across_m = moved.minus(Ned(*(c * along_m for c in d))).norm
     beyond_m = along_m - plan.length_m - plan.stop_m
-    checks = (
-        (bound_m_s - speed_m_s, "m/s", f"it flies {speed_m_s:.2f} m/s, more than {bound_m_s:.2f} m/s"),
-        (plan.max_duration_s - elapsed_s, "s", f"the maneuver took longer than {plan.max_duration_s:.1f} s"),
-        (limits.tracking_m - across_m, "m", f"it is {across_m:.2f} m off the planned line"),
-        (limits.tracking_m - beyond_m, "m", f"it has flown {beyond_m:.2f} m too far"),
+    # Too fast is too fast now; the others only say that the maneuver must end, with every other limit kept.
+    checks: tuple[tuple[Kind, float, str, str], ...] = (
+        ("actual", bound_m_s - speed_m_s, "m/s", f"it flies {speed_m_s:.2f} m/s, more than {bound_m_s:.2f} m/s"),
+        (
+            "predicted",
+            plan.max_duration_s - elapsed_s,
+            "s",
+            f"the maneuver took longer than {plan.max_duration_s:.1f} s",
+        ),
+        ("predicted", limits.tracking_m - across_m, "m", f"it is {across_m:.2f} m off the planned line"),
+        ("predicted", limits.tracking_m - beyond_m, "m", f"it has flown {beyond_m:.2f} m too far"),
     )
     return [
         Breach(
-            "actual" if unit == "m/s" and margin < 0.0 else "predicted",
+            kind if margin < 0.0 else "predicted",
             "envelope",
             ("R8", "R9", "R10"),
             margin,
             unit,
             text,
         )
-        for margin, unit, text in checks
+        for kind, margin, unit, text in checks
         if not margin >= 0.0
     ]
 
@@ -188,7 +196,7 @@ def _negative(finding: Finding) -> bool:
 def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
     best = [baseline.get((kind, f.constraint, of), math.inf) for of, _ in f.below]
     mending = bool(f.below) and all(margin >= b - ease for b, (_, margin) in zip(best, f.below, strict=True))
-    return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending)
+    return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending, f.subject)
 
 
 def _clearance_m(situation: Situation, scene: Situation, ahead: Path, here: Path) -> float | None:

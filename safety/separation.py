@@ -47,7 +47,15 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     k = int(lowest.argmin())
     if lowest[k] >= -EPSILON:
         margin = max(float(lowest[k]), 0.0)
-        return Finding(name, requirements, margin, "m", True, f"{neighbours.names[k]}: {amount(margin)} to spare")
+        return Finding(
+            name,
+            requirements,
+            margin,
+            "m",
+            True,
+            f"{neighbours.names[k]}: {amount(margin)} to spare",
+            subject=neighbours.names[k],
+        )
     broken = lowest < -EPSILON
     failing = broken
     if len(path.times_s) > 1:
@@ -60,7 +68,7 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     if passed:
         text += " already, and this does not make it worse"
     below = tuple((neighbours.names[i], float(lowest[i])) for i in np.flatnonzero(broken).tolist())
-    return Finding(name, requirements, float(lowest[k]), "m", passed, text, below)
+    return Finding(name, requirements, float(lowest[k]), "m", passed, text, below, neighbours.names[told])
 
 
 def _never_closer(path: Path, now: Floats, velocities: Floats, limits: Limits) -> NDArray[np.bool_]:
@@ -152,7 +160,7 @@ def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
                 if not math.isfinite(age_s):
                     return refused(name, requirements, "s", f"{who}: the time of its state is unknown")
                 text = f"{who}: last heard {amount(age_s, 's')} ago, so it could be too close"
-                return Finding(name, requirements, limit_s - age_s, "s", False, text)
+                return Finding(name, requirements, limit_s - age_s, "s", False, text, subject=who)
     if margin is None:
         return Finding(name, requirements, None, "s", True, "flying without neighbour data, as declared")
     return Finding(name, requirements, margin, "s", True, f"other aircraft: heard {amount(limit_s - margin, 's')} ago")
@@ -244,7 +252,7 @@ def _one_reservation(
     stretches = between(margins, gaps_m(path))
     who = volume.holder.replace("{", "{{").replace("}", "}}")
     return judge(name, requirements, margins, stretches, f"volume held by {volume.holder}",
-                 f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}", of=of)  # fmt: skip
+                 f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}", of=of, subject=volume.holder)  # fmt: skip
 
 
 def _from_capsule(points: Floats, volume: ReservedVolume) -> Floats:

@@ -152,6 +152,7 @@ def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Find
                 far=True,
                 mending=partial(mends, path, partial(_apart_m, obstacles, i, required_m)),
                 of=f"{obstacles.names[i]} ({obstacles.numbers[i]})",
+                subject=obstacles.names[i],
             )
             for i in which
         ]

@@ -383,6 +383,8 @@ class Finding:
     passed: bool
     text: str
     below: tuple[tuple[str, float], ...] = ()
+    subject: str = ""
+    """The aircraft, obstacle or holder that it is about; empty: none."""
 
 
 class Verdict(StrEnum):
@@ -426,3 +428,52 @@ class Mode(StrEnum):
     BLOCKED = "Blocked"
     EMERGENCY_HOLD = "EmergencyHold"
     RETURN_TO_ANCHOR = "ReturnToAnchor"
+
+
+class State(StrEnum):
+    """The fine states of the mode machine. Source: paper IV-B; those of pairing, settling and delay are the design's."""
+
+    IDLE = "Idle"
+    PAIRING = "Pairing"
+    FACING = "FacingOperator"
+    ARMED = "ManeuverRequestArmed"
+    SETTLING = "Settling"
+    DETECTED = "ManeuverRequestDetected"
+    VALIDATED = "ManeuverRequestValidated"
+    DELAYED = "ManeuverDelayed"
+    PLANNED = "ManeuverPlanned"
+    EXECUTING = "ExecutingBoundedMotion"
+    BLOCKED = "Blocked"
+    EMERGENCY_HOLD = "EmergencyHold"
+    RETURN_TO_ANCHOR = "ReturnToAnchor"
+
+
+class Cause(StrEnum):
+    """Why the mode machine leaves a state."""
+
+    PAIR_REQUESTED = "pair_requested"
+    PAIR_ACCEPTED = "pair_accepted"
+    PAIR_REFUSED = "pair_refused"
+    FACING_OPERATOR = "facing_operator"
+    RELEASED = "released"
+    AUTHORITY_LOST = "authority_lost"
+    REQUEST = "request"
+    CONFIDENCE_OK = "confidence_ok"
+    CONFIDENCE_LOW = "confidence_low"
+    GUARDS_OK = "guards_ok"
+    GUARDS_FAILED = "guards_failed"
+    DELAY = "delay"
+    DELAY_OVER = "delay_over"
+    VOLUME_GRANTED = "volume_granted"
+    VOLUME_DENIED = "volume_denied"
+    DRY_RUN = "dry_run"
+    CONTRADICTED = "contradicted"
+    TOLD = "told"
+    COMPLETED = "completed"
+    STOP = "stop"
+    INTERRUPTED = "interrupted"
+    STALLED = "stalled"
+    SETTLED = "settled"
+    VIOLATION = "violation"
+    RETURN_APPROVED = "return_approved"
+    RETURNED = "returned"

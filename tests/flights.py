@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from m3r_app.arbiter.effects import Announce, FaceOperator, Fly, Hold, Pair, Report, Reserve
+from m3r_app.arbiter.announcements import Announce
+from m3r_app.arbiter.effects import FaceOperator, Fly, Hold, Pair, Report, Reserve
 from m3r_app.arbiter.events import (
     Event,
     NeighboursHeard,

@@ -25,7 +25,7 @@ LARGEST_BYTES = 1 << 20
 PURE = {"__future__", "collections", "dataclasses", "enum", "functools", "itertools", "math", "numpy", "typing"}
 MAY_IMPORT = {
     "safety": {*PURE, "pymap3d", "shapely", "safety"},
-    "m3r_app/arbiter": {*PURE, "safety", "m3r_app.arbiter", "m3r_app.plain"},
+    "m3r_app/arbiter": {*PURE, "safety", "m3r_app.arbiter", "m3r_app.output"},
 }
 """What has no clock, no files, no network and no threads: what it may import, not what it may not."""
 

@@ -11,6 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import jsonschema
+
+from m3r_app.output import EVENT_TYPES
 from m3r_app.ports import free_udp_block
 from tests.warm import Program
 
@@ -18,6 +21,18 @@ ROOT = Path(__file__).resolve().parent.parent
 PLAIN = ROOT / "config/scenarios/plain.toml"
 HILLSIDE = ROOT / "config/scenarios/hillside.toml"
 PATIENCE_S = 60.0
+
+
+_CONTRACT = jsonschema.Draft202012Validator(json.loads((ROOT / "docs/output.schema.json").read_text(encoding="utf-8")))
+_OF_EVENT = {
+    kind.name: _CONTRACT.evolve(schema={**_CONTRACT.schema, "oneOf": [{"$ref": f"#/$defs/{kind.__name__}"}]})
+    for kind in EVENT_TYPES
+}
+
+
+def check_against_the_contract(found: dict[str, Any]) -> None:
+    """Whether a line of the output is what docs/output.schema.json says."""
+    _OF_EVENT[found["event"]].validate(found)
 
 
 @dataclass
@@ -85,6 +100,7 @@ def _strict(line: str) -> dict[str, Any]:
 
     found = json.loads(line, parse_constant=refuse)
     assert isinstance(found, dict) and "t" in found and "event" in found, line
+    check_against_the_contract(found)
     return found
 
 

@@ -7,14 +7,30 @@ whole or in part, so a name that holds a word of them is not spoken either. Sour
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import assert_never
 
+from m3r_app.output import (
+    RETURN,
+    Action,
+    AnnounceEvent,
+    DecisionEvent,
+    EndEvent,
+    FindingTold,
+    ModeEvent,
+    MotionEvent,
+    MotionStatus,
+    Notice,
+    OutputEvent,
+    PairEvent,
+    PairStatus,
+    RequestEvent,
+    Told,
+    ViolationEvent,
+)
 from modalities.voice.phrases import PhraseTable, normalise
+from safety.vocabulary import Cause, Command, Modality, Verdict
 
-Event = Mapping[str, Any]
 COMMAND_WORDS = frozenset(PhraseTable(("x",)).words) - {"x"}
 AGAIN_S = 10.0
 """While nothing else changes, the same is told again only after this long."""
@@ -34,22 +50,22 @@ class Cue:
     urgent: bool = False
 
 
-_WORD: dict[str, tuple[str, str]] = {
-    "go_left": ("left", "left refused"),
-    "go_right": ("right", "right refused"),
-    "go_forward": ("forward", "forward refused"),
-    "go_back": ("back", "back refused"),
-    "go_up": ("up", "up refused"),
-    "go_down": ("down", "down refused"),
-    "turn_left": ("left turn", "left turn refused"),
-    "turn_right": ("right turn", "right turn refused"),
-    "continue": ("going on", "going on refused"),
+_WORD: dict[Command, tuple[str, str]] = {
+    Command.GO_LEFT: ("left", "left refused"),
+    Command.GO_RIGHT: ("right", "right refused"),
+    Command.GO_FORWARD: ("forward", "forward refused"),
+    Command.GO_BACK: ("back", "back refused"),
+    Command.GO_UP: ("up", "up refused"),
+    Command.GO_DOWN: ("down", "down refused"),
+    Command.TURN_LEFT: ("left turn", "left turn refused"),
+    Command.TURN_RIGHT: ("right turn", "right turn refused"),
+    Command.CONTINUE: ("going on", "going on refused"),
 }
 """What is flown and what is not, for each command; "turn left" would be a request."""
 
 _LIES = {"terrain_clearance": "ground", "obstacle_clearance": "{something}", "geofence": "border"}
 """What shortened a move lies in its direction; the name of an obstacle or of a drone takes the place of what is in braces."""
-_BEYOND = {"go_up": "above", "go_down": "below"}
+_BEYOND = {Command.GO_UP: "above", Command.GO_DOWN: "below"}
 _REASON: dict[str, tuple[str, str]] = {
     "terrain_clearance": ("ground too near", "ground unknown"),
     "agl": ("too low", "ground unknown"),
@@ -69,26 +85,27 @@ _REASON: dict[str, tuple[str, str]] = {
     "paired": ("not paired", "not paired"),
 }
 """Two or three words for each constraint: where it is broken by a number, and where nothing is known."""
-_UNSURE = {"voice": "not sure what you said", "gesture": "not sure what you showed"}
+_UNSURE = {Modality.VOICE: "not sure what you said", Modality.GESTURE: "not sure what you showed"}
 _CONTRADICTED = {"X5": "holding, two different requests", "X12": "nothing to go on with"}
 """By requirement; what STOP or a newer request withdrew has been answered by their own cue."""
-_NAMED = re.compile(r"too close to (?:the )?(.+?)(?: already, and this does not make it worse)?$|^(.+?): last heard ")
 
-_ANNOUNCED: tuple[tuple[str, str, bool, bool], ...] = (
-    ("taking off to", "taking off", True, False),
-    ("returning to the anchor in", "returning soon", True, True),
-    ("not returning yet", "not returning yet", True, False),
-    ("say continue to return", "asks to return", True, False),
-    ("not disconnected, ", "still paired, ask again", True, False),
-    (": lost, silent for", "lost", True, True),
-    ("you are not heard until it is back", "You are not heard", False, True),
-    ("is back: you are heard again", "You are heard again", False, False),
-    ("voice is off", "Voice is lost", False, True),
-    ("hands are off", "Hands are lost", False, True),
-    (": hands are not seen", "Hands are not seen", False, True),
-    ("gives pictures again", "Hands are seen again", False, False),
-)
-"""Announcements that no other event tells: a part of the sentence, the cue, whether it is the drone's, whether it is urgent."""
+_OF_THE_DRONE: dict[Notice, tuple[str, bool]] = {
+    Notice.TAKING_OFF: ("taking off", False),
+    Notice.RETURNING_SOON: ("returning soon", True),
+    Notice.NOT_RETURNING_YET: ("not returning yet", False),
+    Notice.ASKS_TO_RETURN: ("asks to return", False),
+    Notice.NOT_DISCONNECTED: ("still paired, ask again", False),
+    Notice.VEHICLE_SILENT: ("lost", True),
+}
+"""Announcements that no other event tells, in the drone's name: the cue, and whether it is urgent."""
+_OF_THE_SENSES: dict[Notice, Cue] = {
+    Notice.VOICE_GONE: Cue("You are not heard", urgent=True),
+    Notice.VOICE_BACK: Cue("You are heard again"),
+    Notice.VOICE_OFF: Cue("Voice is lost", urgent=True),
+    Notice.HANDS_OFF: Cue("Hands are lost", urgent=True),
+    Notice.HANDS_NOT_SEEN: Cue("Hands are not seen", urgent=True),
+    Notice.HANDS_SEEN_AGAIN: Cue("Hands are seen again"),
+}
 
 
 class Cues:
@@ -101,108 +118,121 @@ class Cues:
         self._paired = False
         self._lost = False
         self._violated_s = -TOGETHER_S
-        self._asked: dict[str, tuple[str, str]] = {}
+        self._asked: dict[str, tuple[Command, Modality]] = {}
         self._said: dict[str, float] = {}
 
-    def of(self, event: Event) -> Cue | None:
+    def of(self, told: Told) -> Cue | None:
         """What is spoken of this event; None: nothing, or nothing new."""
-        if _changes(event):
+        if _changes(told.event):
             self._said.clear()
-        cue = self._cue(event)
-        if cue is None or event["t"] - self._said.get(cue.text, -AGAIN_S) < AGAIN_S:
+        cue = self._cue(told)
+        if cue is None or told.t_s - self._said.get(cue.text, -AGAIN_S) < AGAIN_S:
             return None
-        self._said[cue.text] = event["t"]
+        self._said[cue.text] = told.t_s
         return cue
 
-    def _cue(self, event: Event) -> Cue | None:
-        match event["event"]:
-            case "request":
+    def _cue(self, told: Told) -> Cue | None:
+        match told.event:
+            case RequestEvent() as event:
                 return self._request(event)
-            case "decision":
+            case DecisionEvent() as event:
                 return self._decision(event)
-            case "motion" if event["status"] == "completed":
-                return self._named(_done(event["request"], self._asked.get(event["request"], ("", ""))[0]))
-            case "mode":
+            case MotionEvent() as event:
+                return self._motion(event)
+            case ModeEvent() as event:
                 return self._mode(event)
-            case "pair":
+            case PairEvent() as event:
                 return self._pair(event)
-            case "violation":
-                return self._violation(event)
-            case "announce":
-                return self._announce(event["text"])
-        return None
+            case ViolationEvent() as event:
+                return self._violation(event, told.t_s)
+            case AnnounceEvent() as event:
+                return self._announce(event)
+            case EndEvent():
+                return None
+            case _ as event:
+                assert_never(event)
 
-    def _request(self, event: Event) -> Cue | None:
-        self._asked[event["id"]] = (event["command"], event["modality"])
+    def _request(self, event: RequestEvent) -> Cue | None:
+        self._asked[event.id] = (event.command, event.modality)
         if len(self._asked) > REMEMBERED:
             del self._asked[next(iter(self._asked))]
-        if event["command"] != "stop":
+        if event.command is not Command.STOP:
             return None  # its decision follows
         return self._named("holding", urgent=True) if self._drone else Cue("Nothing to hold", urgent=True)
 
-    def _decision(self, event: Event) -> Cue | None:
-        command, modality = self._asked.get(event["request"], ("", ""))
-        yes, no = _WORD.get(command, ("move", "move refused"))
-        failing = [finding for finding in event["findings"] if not finding["passed"]]
-        if event["verdict"] in ("approved", "reduced"):
-            beyond = _BEYOND.get(command, "ahead") if event["verdict"] == "reduced" else ""
-            flown = ["dry run"] * self._dry_run + [yes, *metres(event["granted_m"])]
+    def _decision(self, event: DecisionEvent) -> Cue | None:
+        command, modality = self._asked.get(event.request, (None, None))
+        yes, no = ("move", "move refused") if command is None else _WORD.get(command, ("move", "move refused"))
+        failing = event.failing
+        if event.verdict in (Verdict.APPROVED, Verdict.REDUCED):
+            beyond = ""
+            if event.verdict is Verdict.REDUCED:
+                beyond = "ahead" if command is None else _BEYOND.get(command, "ahead")
+            flown = ["dry run"] * self._dry_run + [yes, *metres(event.granted_m)]
             return self._named(", ".join([*flown, *_why(failing, modality, beyond)]))
-        constraints = {finding["constraint"] for finding in failing}
+        constraints = {finding.constraint for finding in failing}
         if "contradiction" in constraints:
-            known = [_CONTRADICTED[r] for f in failing for r in f["requirements"] if r in _CONTRADICTED]
+            known = [_CONTRADICTED[r] for f in failing for r in f.requirements if r in _CONTRADICTED]
             return self._named(known[0], urgent=True) if known else None
         if "paired" in constraints:
             return Cue("No drone is paired", urgent=True)
         why = ", ".join(_why(failing, modality))
-        if event["verdict"] == "delayed":
+        if event.verdict is Verdict.DELAYED:
             return self._named(f"{yes} in a moment, {why}")
-        if event["verdict"] == "replaced":
+        if event.verdict is Verdict.REPLACED:
             return self._named(f"{no}, {why}, slower is offered")
         unsure = "input_confidence" in constraints
         return self._named(why if unsure else ", ".join(part for part in (no, why) if part), urgent=True)
 
-    def _mode(self, event: Event) -> Cue | None:
-        match event["cause"]:
-            case "stalled":
-                return self._named("holding, ask again", urgent=True)
-            case "return_approved":
-                return self._named("returning")
-            case "authority_lost":
-                self._lost = True
-                return self._named("no longer yours", urgent=True)
+    def _motion(self, event: MotionEvent) -> Cue | None:
+        if event.status is not MotionStatus.COMPLETED:
+            return None
+        if event.request == RETURN:
+            return self._named("at the anchor again")
+        command, _ = self._asked.get(event.request, (None, None))
+        if command is None or command is Command.CONTINUE or command not in _WORD:
+            return self._named("done")
+        return self._named(f"{_WORD[command][0]} done")
+
+    def _mode(self, event: ModeEvent) -> Cue | None:
+        if event.cause is Cause.STALLED:
+            return self._named("holding, ask again", urgent=True)
+        if event.cause is Cause.RETURN_APPROVED:
+            return self._named("returning")
+        if event.cause is Cause.AUTHORITY_LOST:
+            self._lost = True
+            return self._named("no longer yours", urgent=True)
         return None
 
-    def _pair(self, event: Event) -> Cue | None:
-        name = _spoken_colour(event["vehicle"])
-        match event["status"]:
-            case "requested":
-                self._drone, self._paired = name, False
-                return self._named("pairing")
-            case "confirmed":
-                self._drone, self._paired = name, True
-                return self._named("paired")
-            case "refused" if self._paired and name == self._drone:
-                return self._named("already paired, ask again", urgent=True)
+    def _pair(self, event: PairEvent) -> Cue | None:
+        name = _spoken_colour(event.vehicle)
+        if event.status is PairStatus.REQUESTED:
+            self._drone, self._paired = name, False
+            return self._named("pairing")
+        if event.status is PairStatus.CONFIRMED:
+            self._drone, self._paired = name, True
+            return self._named("paired")
+        if event.status is PairStatus.REFUSED and self._paired and name == self._drone:
+            return self._named("already paired, ask again", urgent=True)
         if self._paired and name != self._drone:
             return Cue(f"{name}: not paired", urgent=True)
-        over = "released" if event["status"] == "released" else "not paired"
-        cue = None if self._lost else Cue(f"{name}: {over}", urgent=over != "released")
+        released = event.status is PairStatus.RELEASED
+        cue = None if self._lost else Cue(f"{name}: {'released' if released else 'not paired'}", urgent=not released)
         self._drone, self._paired, self._lost = "", False, False
         return cue
 
-    def _violation(self, event: Event) -> Cue | None:
-        since_s, self._violated_s = event["t"] - self._violated_s, event["t"]
+    def _violation(self, event: ViolationEvent, t_s: float) -> Cue | None:
+        since_s, self._violated_s = t_s - self._violated_s, t_s
         if since_s < TOGETHER_S:
             return None
-        held = ["holding"] if event["action"] in ("abort", "hold") else []
-        return self._named(", ".join([*held, *_why([event], "")]), urgent=True)
+        held = ["holding"] if event.action in (Action.ABORT, Action.HOLD) else []
+        return self._named(", ".join([*held, _reason(event, None)]), urgent=True)
 
-    def _announce(self, text: str) -> Cue | None:
-        for part, said, of_drone, urgent in _ANNOUNCED:
-            if part in text:
-                return self._named(said, urgent=urgent) if of_drone else Cue(said, urgent)
-        return None
+    def _announce(self, event: AnnounceEvent) -> Cue | None:
+        if event.notice in _OF_THE_DRONE:
+            said, urgent = _OF_THE_DRONE[event.notice]
+            return self._named(said, urgent=urgent)
+        return _OF_THE_SENSES.get(event.notice)
 
     def _named(self, text: str, *, urgent: bool = False) -> Cue:
         return Cue(f"{self._drone or 'Drone'}: {text}", urgent)
@@ -236,46 +266,45 @@ def number(n: int) -> str:
     return _TENS[n // 10 - 2] + (f"-{_SMALL[n % 10]}" if n % 10 else "")
 
 
-def _changes(event: Event) -> bool:
+def _changes(event: OutputEvent) -> bool:
     """Whether something has changed, so that what was said may be said again."""
-    if event["event"] == "mode":
-        return bool(event["mode"] != event["previous"])
-    return event["event"] in ("request", "motion", "pair")
+    if isinstance(event, ModeEvent):
+        return event.mode is not event.previous
+    return isinstance(event, RequestEvent | MotionEvent | PairEvent)
 
 
-def _done(request_id: str, command: str) -> str:
-    if request_id == "return":
-        return "at the anchor again"
-    return f"{_WORD[command][0]} done" if command in _WORD and command != "continue" else "done"
-
-
-def _why(failing: Sequence[Event], modality: str, beyond: str = "") -> list[str]:
+def _why(failing: tuple[FindingTold, ...], modality: Modality | None, beyond: str = "") -> list[str]:
     """The first reason: all of them are written. beyond: where, in the direction of the move, what shortened it lies."""
     return [_reason(finding, modality, beyond) for finding in failing[:1]]
 
 
-def _reason(finding: Event, modality: str, beyond: str) -> str:
-    constraint = finding["constraint"]
-    broken, unknown = _REASON.get(constraint, ("not safe", "not safe"))
-    if finding["margin"] is None:
+def _reason(found: FindingTold | ViolationEvent, modality: Modality | None, beyond: str = "") -> str:
+    broken, unknown = _REASON.get(found.constraint, ("not safe", "not safe"))
+    if found.margin is None:
         return unknown
-    if constraint == "input_confidence":
+    if found.constraint == "input_confidence" and modality is not None:
         return _UNSURE.get(modality, broken)
-    if beyond and constraint in _LIES:
-        broken = f"{_LIES[constraint]} {beyond}"
-    name = _name_in(finding["text"])
-    if constraint in ("separation", "neighbour_age"):
-        name = name.capitalize()
-    return re.sub(r"\{(.+)\}", name or r"\1", broken)
+    if beyond and found.constraint in _LIES:
+        broken = f"{_LIES[found.constraint]} {beyond}"
+    name = _speakable(found.subject)
+    for general in _GENERAL:
+        if f"{{{general}}}" in broken:
+            aircraft = found.constraint in ("separation", "neighbour_age")
+            broken = broken.replace(f"{{{general}}}", (name.capitalize() if aircraft else name) or general)
+    return broken
 
 
-def _name_in(text: str) -> str:
+_GENERAL = ("something", "others")
+"""What stands in braces in a reason, and is said where there is no name."""
+
+
+def _speakable(name: str) -> str:
     """The name of whom or what a finding is about; empty where it has none that may be spoken."""
-    found = _NAMED.search(text)
-    words = normalise(found[1] or found[2]).split() if found else []
+    words = normalise(name).split()
+    words = words[1:] if words[:1] == ["the"] else words
     if not words or len(words) > LONGEST_NAME or not all(w.isalpha() and w not in COMMAND_WORDS for w in words):
         return ""
-    return "" if words[0] in ("an", "other") else " ".join(words)  # "an obstacle", "other aircraft": no names
+    return " ".join(words)
 
 
 def _spoken_colour(colour: str) -> str:

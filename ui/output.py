@@ -9,13 +9,10 @@ import os
 import queue
 import signal
 import threading
-from typing import TYPE_CHECKING, Any, Self
+from typing import Self
 
-from ui.headless import line
+from m3r_app.output import Told, line
 from ui.narrator import every_sentence, narrated, sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 STANDARD_OUTPUT, STANDARD_ERROR = 1, 2
 CLOSE_S = 5.0
@@ -34,7 +31,7 @@ class Output:
         self._out = out
         self._err = err
         self._gone: set[int] = set()
-        self._queue: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Told | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="m3r-output", daemon=True)
 
     def __enter__(self) -> Self:
@@ -45,8 +42,8 @@ class Output:
         self._queue.put(None)
         self._thread.join(CLOSE_S)
 
-    def emit(self, event: Mapping[str, Any]) -> None:
-        """Queue one event, which may not be changed afterwards. Never blocks."""
+    def emit(self, event: Told) -> None:
+        """Queue one event. Never blocks."""
         self._queue.put(event)
 
     def _run(self) -> None:

@@ -19,13 +19,12 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
+from m3r_app.output import ModeEvent, MotionEvent, OutputEvent, PairEvent
 from m3r_app.record.flight_summary import Asked, Story, number, place_of, story_of
 from m3r_app.record.recorder import RecordError, read_header, read_record
 from ui.narrator import every_sentence, sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from m3r_app.record.recorder import RecordHeader
 
 MARK = "<!-- m3r flight report -->"
@@ -85,7 +84,7 @@ def render(story: Story, header: RecordHeader, name: str) -> str:
         complete=header.complete,
         story=story,
         end=story.end,
-        told=[(f"{event['t']:.2f}", text) for event in story.events if (text := _told(event))],
+        told=[(f"{told.t_s:.2f}", text) for told in story.events if (text := _told(told.event))],
         requests=story.requests,
         latencies=[
             (modality, len(values), np.percentile(values, 50), np.percentile(values, 95))
@@ -104,8 +103,8 @@ def shown(value: object, places: int = 2, unit: str = "") -> str:
     return "–" if found is None else f"{round(found, places) + 0.0:.{places}f}{unit}"  # no -0.00
 
 
-def _told(event: Mapping[str, Any]) -> str | None:
-    return every_sentence(event) if event["event"] in ("pair", "motion", "mode") else sentence(event)
+def _told(event: OutputEvent) -> str | None:
+    return every_sentence(event) if isinstance(event, PairEvent | MotionEvent | ModeEvent) else sentence(event)
 
 
 def _safe_json(figure: go.Figure) -> Any:
@@ -264,7 +263,7 @@ def _ball(place: Any, radius_m: float) -> go.Scatter3d:
 
 
 def _metres(asked: Asked) -> str:
-    granted, requested = (number(asked.decisions[-1].get(key)) for key in ("granted_m", "requested_m"))
+    granted, requested = asked.decisions[-1].granted_m, asked.decisions[-1].requested_m
     if granted is None:
         return "" if requested is None else f"of {requested:.2f} m"
     return f"{granted:.2f} m" if requested is None else f"{granted:.2f} m of {requested:.2f} m"

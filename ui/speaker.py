@@ -13,15 +13,16 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from ui.cues import Cue, Cues
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from m3r_app.options import RunOptions
-    from modalities.voice.self_speech import SelfSpeech
+    from m3r_app.output import Told
+from modalities.voice.self_speech import SelfSpeech
 
 PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")
@@ -39,7 +40,7 @@ class Speaker:
 
     def __init__(
         self,
-        cue_of: Callable[[Mapping[str, Any]], Cue | None],
+        cue_of: Callable[[Told], Cue | None],
         self_speech: SelfSpeech,
         say: Callable[[str], None],
         *,
@@ -59,7 +60,7 @@ class Speaker:
         self._told = False
         self._speaking: tuple[Cue, subprocess.Popen[bytes], float] | None = None
         self._waiting: Cue | None = None
-        self._queue: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Told | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="m3r-speaker", daemon=True)
 
     def __enter__(self) -> Self:
@@ -71,9 +72,9 @@ class Speaker:
         self._queue.put(None)
         self._thread.join(CLOSE_S)
 
-    def hear(self, event: Mapping[str, Any]) -> None:
-        """Queue one event, which may not be changed afterwards. Never blocks."""
-        self._queue.put(event)
+    def hear(self, told: Told) -> None:
+        """Queue one event. Never blocks."""
+        self._queue.put(told)
 
     def _run(self) -> None:
         try:
@@ -180,17 +181,17 @@ class Speaker:
 
 @contextmanager
 def speaking(
-    options: RunOptions, self_speech: SelfSpeech, say: Callable[[str], None], emit: Callable[[dict[str, Any]], None]
-) -> Iterator[Callable[[dict[str, Any]], None]]:
+    options: RunOptions, self_speech: SelfSpeech, say: Callable[[str], None], emit: Callable[[Told], None]
+) -> Iterator[Callable[[Told], None]]:
     """An `emit` that also speaks, where these options want cues. say: told once what keeps them from being spoken."""
     if not options.aloud:
         yield emit
         return
     with Speaker(Cues(dry_run=options.dry_run).of, self_speech, say) as speaker:
 
-        def both(event: dict[str, Any]) -> None:
-            emit(event)
-            speaker.hear(event)
+        def both(told: Told) -> None:
+            emit(told)
+            speaker.hear(told)
 
         yield both
 

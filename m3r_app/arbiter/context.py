@@ -9,11 +9,13 @@ import math
 from dataclasses import replace
 
 from m3r_app.arbiter import reports
-from m3r_app.arbiter.effects import Announce, Effect, ImpossibleTransition
-from m3r_app.arbiter.modes import DECIDING, Cause, State, next_state
+from m3r_app.arbiter.announcements import Announce
+from m3r_app.arbiter.effects import Effect, ImpossibleTransition
+from m3r_app.arbiter.modes import DECIDING, next_state
 from m3r_app.arbiter.state import ArbiterState, Session, Suspected, Tally
+from m3r_app.output import Notice
 from safety.situation import Situation
-from safety.vocabulary import Anchor, VehicleState
+from safety.vocabulary import Anchor, Cause, Primitive, State, VehicleState
 
 RECHECK_S = 0.1
 """What is judged again and again while the drone hovers is judged this often."""
@@ -60,10 +62,18 @@ class Step:
         anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
         self.state = replace(self.state, session=replace(self.session, anchor=anchor))
 
-    def tell(self, text: str) -> None:
+    def tell(
+        self,
+        notice: Notice,
+        *because: str,
+        metres: tuple[float, ...] = (),
+        seconds: float = 0.0,
+        primitive: Primitive | None = None,
+        asked: str = "",
+    ) -> None:
         """Tell the operator, in the name of the session's drone."""
-        colour = self.session.colour.capitalize() if self.state.session else "No drone"
-        self.do(Announce(f"{colour}: {text}"))
+        colour = self.state.session.colour if self.state.session is not None else ""
+        self.do(Announce(notice, colour, because, metres, seconds, primitive, asked=asked))
 
     def violated(self, suspected: Suspected) -> None:
         """A limit was broken, and it was ours to keep."""

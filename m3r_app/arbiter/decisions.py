@@ -8,15 +8,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 from m3r_app.arbiter import execution, fusion, reports, wording
+from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import RECHECK_S, Step
-from m3r_app.arbiter.effects import Announce, Release, Reserve
+from m3r_app.arbiter.effects import Release, Reserve
 from m3r_app.arbiter.events import ReservationAnswered
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import Deciding, Leftover, Tally
+from m3r_app.output import Notice
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, interpret, safe
-from safety.vocabulary import PRIMITIVE_OF, Command, Decision, Finding, ManeuverRequest, Plan, Primitive, Verdict
+from safety.vocabulary import (
+    PRIMITIVE_OF,
+    Cause,
+    Command,
+    Decision,
+    Finding,
+    ManeuverRequest,
+    Plan,
+    Primitive,
+    State,
+    Verdict,
+)
 from safety.volumes import swept_volume
 
 BACK = Intent(Primitive.RETURN, 0.0)
@@ -198,7 +210,7 @@ def turn_down(run: Step, deciding: Deciding, findings: tuple[Finding, ...], caus
         run.state = replace(
             run.state, return_at_s=None, return_judged_from_s=run.now_s + run.state.limits.delay_s + RECHECK_S
         )
-        run.tell(f"not returning yet, {wording.reasons(findings)}")
+        run.tell(Notice.NOT_RETURNING_YET, wording.reasons(findings))
         return
     decision = replace(
         deciding.decision,
@@ -248,9 +260,9 @@ def decided(run: Step, request: ManeuverRequest, decision: Decision) -> None:
             run.count(Tally(rejected=1))
             if is_of_now(request, run.now_s, run.state.limits):
                 remember(run, request, refused=True)
-    colour = run.state.session.colour if run.state.session else "no drone"
-    text = wording.decided(colour, wording.asked(request), decision)
-    run.do(Announce(f"dry run, {text}" if run.state.policy.dry_run else text))
+    colour = run.state.session.colour if run.state.session is not None else ""
+    dry_run = run.state.policy.dry_run
+    run.do(Announce(Notice.DECIDED, colour, decision=decision, asked=wording.asked(request), dry_run=dry_run))
 
 
 def remember(run: Step, request: ManeuverRequest, *, refused: bool = False) -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from m3r_app.arbiter.modes import Cause, State
+from m3r_app.arbiter.announcements import Announce
+from m3r_app.output import OutputEvent, fields_of
 from safety.vocabulary import (
+    Cause,
     Plan,
     ReservedVolume,
+    State,
 )
 
 LetGoCommand = Literal["hold", "resume", "land", "nothing"]
@@ -16,17 +19,19 @@ LetGoCommand = Literal["hold", "resume", "land", "nothing"]
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One object of the machine-readable output, also recorded. `fields` is strict JSON but for floats (rounded later)."""
+    """One event of the machine-readable output, also recorded."""
 
-    event: str
-    fields: dict[str, object]
+    told: OutputEvent
 
+    @property
+    def event(self) -> str:
+        """Its name."""
+        return self.told.name
 
-@dataclass(frozen=True, slots=True)
-class Announce:
-    """What the operator is told."""
-
-    text: str
+    @property
+    def fields(self) -> dict[str, object]:
+        """Its fields by name, for who looks at any event alike."""
+        return fields_of(self.told)
 
 
 @dataclass(frozen=True, slots=True)

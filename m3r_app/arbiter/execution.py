@@ -7,20 +7,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal
 
-from m3r_app.arbiter import reports, wording
+from m3r_app.arbiter import reports
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.effects import Fly, Hold, Release
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import Flight, Leftover, Tally
+from m3r_app.output import MotionStatus, Notice
 from safety.confidence import unfit_to_fly
 from safety.frames import wrap_deg
 from safety.monitor import Watch, watch
 from safety.planner import full_speed_m_s
 from safety.situation import Situation
 from safety.supervisor import FULL_TURN_DEG
-from safety.vocabulary import Finding, Ned, Plan, Primitive, VehicleState
+from safety.vocabulary import Cause, Finding, Ned, Plan, Primitive, State, VehicleState
 
 UNHEARD = "nothing was heard from it for a moment"
 
@@ -37,7 +36,7 @@ def begin(
     flight = Flight(request_id, plan, run.now_s, vehicle.position, vehicle.yaw_deg, baseline, asked_for=asked_for)
     run.state = replace(run.state, flight=flight, return_at_s=None, may_return=False)
     run.do(Fly(plan))
-    run.do(reports.motion(flight, "started", Ned(0.0, 0.0, 0.0)))
+    run.do(reports.motion(flight, MotionStatus.STARTED, Ned(0.0, 0.0, 0.0)))
 
 
 def measure(run: Step, vehicle: VehicleState) -> None:
@@ -82,16 +81,15 @@ def arrive(run: Step, vehicle: VehicleState) -> None:
     if not (elapsed_s >= plan.duration_s and there and facing and run.at_rest(vehicle)):
         return
     returning = run.state.state is State.RETURN_TO_ANCHOR
-    end(run, "completed")
+    end(run, MotionStatus.COMPLETED)
     if not returning:
         run.anchor_here(vehicle)
     run.go(Cause.RETURNED if returning else Cause.COMPLETED)
-    what = wording.WORD_OF[plan.primitive]
     moved_m = vehicle.position.minus(flight.origin).norm
-    run.tell(f"{what} done" if plan.primitive.is_scan else f"{what} done, {moved_m:.2f} m")
+    run.tell(Notice.DONE, metres=() if plan.primitive.is_scan else (moved_m,), primitive=plan.primitive)
 
 
-def end(run: Step, status: Literal["completed", "aborted"]) -> None:
+def end(run: Step, status: MotionStatus) -> None:
     """Nothing is flown any more; the airspace is given back."""
     flight = run.state.flight
     if flight is None:
@@ -99,7 +97,7 @@ def end(run: Step, status: Literal["completed", "aborted"]) -> None:
     run.do(reports.motion(flight, status, run.vehicle.position.minus(flight.origin)))
     run.do(Release(flight.request_id))
     if flight.asked_for:
-        run.count(Tally(completed=1) if status == "completed" else Tally(aborted=1))
+        run.count(Tally(completed=1) if status is MotionStatus.COMPLETED else Tally(aborted=1))
     run.state = replace(run.state, flight=None)
 
 
@@ -120,9 +118,9 @@ def drop(run: Step, why: str) -> None:
     if run.state.flight is None:
         return
     run.do(Hold("stalled"))
-    end(run, "aborted")
+    end(run, MotionStatus.ABORTED)
     run.go(Cause.STALLED)
-    run.tell(f"holding, {why}; ask again")
+    run.tell(Notice.DROPPED, why)
 
 
 def overdue(run: Step) -> None:

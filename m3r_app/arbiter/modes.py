@@ -5,28 +5,7 @@ Source: paper III (modes) and IV-B (state machine); P1; design 3, 5, 6, 13, 14, 
 
 from __future__ import annotations
 
-from enum import StrEnum
-
-from safety.vocabulary import Mode
-
-
-class State(StrEnum):
-    """The fine states. `MODE_OF` says in which mode each lies."""
-
-    IDLE = "Idle"
-    PAIRING = "Pairing"
-    FACING = "FacingOperator"
-    ARMED = "ManeuverRequestArmed"
-    SETTLING = "Settling"
-    DETECTED = "ManeuverRequestDetected"
-    VALIDATED = "ManeuverRequestValidated"
-    DELAYED = "ManeuverDelayed"
-    PLANNED = "ManeuverPlanned"
-    EXECUTING = "ExecutingBoundedMotion"
-    BLOCKED = "Blocked"
-    EMERGENCY_HOLD = "EmergencyHold"
-    RETURN_TO_ANCHOR = "ReturnToAnchor"
-
+from safety.vocabulary import Cause, Mode, State
 
 MODE_OF: dict[State, Mode] = {
     State.IDLE: Mode.NORMAL_AUTONOMY,
@@ -43,37 +22,6 @@ MODE_OF: dict[State, Mode] = {
     State.EMERGENCY_HOLD: Mode.EMERGENCY_HOLD,
     State.RETURN_TO_ANCHOR: Mode.RETURN_TO_ANCHOR,
 }
-
-
-class Cause(StrEnum):
-    """Why a state is left."""
-
-    PAIR_REQUESTED = "pair_requested"
-    PAIR_ACCEPTED = "pair_accepted"
-    PAIR_REFUSED = "pair_refused"
-    FACING_OPERATOR = "facing_operator"
-    RELEASED = "released"
-    AUTHORITY_LOST = "authority_lost"
-    REQUEST = "request"
-    CONFIDENCE_OK = "confidence_ok"
-    CONFIDENCE_LOW = "confidence_low"
-    GUARDS_OK = "guards_ok"
-    GUARDS_FAILED = "guards_failed"
-    DELAY = "delay"
-    DELAY_OVER = "delay_over"
-    VOLUME_GRANTED = "volume_granted"
-    VOLUME_DENIED = "volume_denied"
-    DRY_RUN = "dry_run"
-    CONTRADICTED = "contradicted"
-    TOLD = "told"
-    COMPLETED = "completed"
-    STOP = "stop"
-    INTERRUPTED = "interrupted"
-    STALLED = "stalled"
-    SETTLED = "settled"
-    VIOLATION = "violation"
-    RETURN_APPROVED = "return_approved"
-    RETURNED = "returned"
 
 
 S, C = State, Cause

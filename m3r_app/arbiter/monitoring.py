@@ -10,14 +10,14 @@ from dataclasses import replace
 from m3r_app.arbiter import decisions, execution, reports, wording
 from m3r_app.arbiter.context import RECHECK_S, Step
 from m3r_app.arbiter.effects import FaceOperator, Hold
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import Suspected
+from m3r_app.output import Action, MotionStatus, Notice
 from safety.estimate import jump
 from safety.frames import bearing_deg
 from safety.monitor import Breach, watch
 from safety.planner import plan_return
 from safety.supervisor import decide_plan
-from safety.vocabulary import VehicleState, Verdict
+from safety.vocabulary import Cause, State, VehicleState, Verdict
 
 
 def monitor(run: Step) -> bool:
@@ -41,9 +41,9 @@ def monitor(run: Step) -> bool:
             emergency(run, aborts, news)
             return False
     for breach in news:
-        _report(run, breach, "none, the plan mends it" if flight else "hold")
+        _report(run, breach, Action.MENDING if flight else Action.HOLD)
     if news:
-        run.tell(wording.told(news))
+        run.tell(Notice.LIMIT_BROKEN, wording.told(news))
     return True
 
 
@@ -87,7 +87,7 @@ def hold_anew(run: Step, why: str) -> None:
     if s.flight is not None:
         execution.drop(run, why)
     else:
-        run.tell(f"{why}: it holds at where it now believes to be")
+        run.tell(Notice.HELD_ANEW, why)
 
 
 def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
@@ -96,13 +96,13 @@ def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
     policy, outward = run.state.policy.return_to_anchor, run.state.state is State.EXECUTING
     for breach in aborts:
         if breach.kind == "predicted" or breach in news:
-            _report(run, breach, "abort")
-    execution.end(run, "aborted")
+            _report(run, breach, Action.ABORT)
+    execution.end(run, MotionStatus.ABORTED)
     run.go(Cause.VIOLATION)
     run.state = replace(run.state, return_at_s=None, may_return=policy == "auto" and outward)
-    run.tell(f"holding, {wording.told(aborts)}")
+    run.tell(Notice.ABORTED, wording.told(aborts))
     if policy == "ask":
-        run.tell("say continue to return to the anchor")
+        run.tell(Notice.ASKS_TO_RETURN)
 
 
 def way_back(run: Step) -> None:
@@ -125,12 +125,12 @@ def way_back(run: Step) -> None:
         run.state = replace(run.state, return_at_s=None)
     elif s.return_at_s is None:
         run.state = replace(run.state, return_at_s=run.now_s + limits.return_after_s)
-        run.tell(f"returning to the anchor in {limits.return_after_s:.0f} seconds")
+        run.tell(Notice.RETURNING_SOON, seconds=limits.return_after_s)
     elif run.now_s >= s.return_at_s:
         decisions.reserve(run, None, decisions.BACK, decision)
 
 
-def _report(run: Step, breach: Breach, action: str) -> None:
+def _report(run: Step, breach: Breach, action: Action) -> None:
     if breach.kind == "actual":
         run.state = replace(run.state, suspected=(*run.state.suspected, Suspected(breach, action, run.now_s)))
         confirm(run, run.vehicle)

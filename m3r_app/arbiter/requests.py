@@ -14,11 +14,11 @@ from m3r_app.arbiter.decisions import is_of_now, refuse, unmet
 from m3r_app.arbiter.effects import Hold
 from m3r_app.arbiter.events import Requested
 from m3r_app.arbiter.fusion import Relation, fused, relate
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import Tally
 from m3r_app.arbiter.wording import asked
+from m3r_app.output import MotionStatus, Notice
 from safety.confidence import input_confidence
-from safety.vocabulary import Command, Finding, ManeuverRequest
+from safety.vocabulary import Cause, Command, Finding, ManeuverRequest, State
 
 STOPPED = "the operator said stop"
 NO_MANEUVER = frozenset({Command.STOP, Command.ACTIVATE, Command.DISCONNECT})
@@ -82,14 +82,14 @@ def stop(run: Step, request: ManeuverRequest) -> None:
         sessions.call_off_pairing(run, STOPPED)
         return
     if not run.state.authority:
-        run.tell("nothing to hold, this app has no authority over a drone")
+        run.tell(Notice.NOTHING_TO_HOLD)
         return
     decisions.withdraw(run, STOPPED, "X4")
     run.state = replace(run.state, leftover=execution.leftover(run), return_at_s=None, may_return=False)
-    execution.end(run, "aborted")
+    execution.end(run, MotionStatus.ABORTED)
     if run.can(Cause.STOP):
         run.go(Cause.STOP)
-    run.tell("holding")
+    run.tell(Notice.HOLDING)
 
 
 def pair_or_part(run: Step, request: ManeuverRequest) -> None:
@@ -99,7 +99,7 @@ def pair_or_part(run: Step, request: ManeuverRequest) -> None:
     if request.command is Command.ACTIVATE:
         sessions.activate(run, request.colour or "", doubt)
     elif doubt is not None:
-        run.tell(f"not disconnected, {doubt.text}")
+        run.tell(Notice.NOT_DISCONNECTED, doubt.text)
     else:
         sessions.disconnect(run, request)
 
@@ -119,7 +119,7 @@ def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> N
         run.do(Hold("contradiction"))
     decisions.withdraw(run, why, "X5")
     run.state = replace(run.state, leftover=None, return_at_s=None, may_return=False)
-    execution.end(run, "aborted")
+    execution.end(run, MotionStatus.ABORTED)
     if run.can(Cause.CONTRADICTED):
         run.go(Cause.CONTRADICTED)
     refuse(run, request, unmet("contradiction", ("X5",), why))
@@ -133,7 +133,7 @@ def maneuver(run: Step, request: ManeuverRequest) -> None:
     decisions.withdraw(run, "a newer request came first", "X14")
     if run.state.flight is not None:
         run.do(Hold("interrupted"))
-        execution.end(run, "aborted")
+        execution.end(run, MotionStatus.ABORTED)
     if run.can(Cause.INTERRUPTED):
         run.go(Cause.INTERRUPTED)
     if run.state.state in (State.ARMED, State.EMERGENCY_HOLD):

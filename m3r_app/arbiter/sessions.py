@@ -10,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 
 from m3r_app.arbiter import decisions, execution, reports
+from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step
-from m3r_app.arbiter.effects import Announce, FaceOperator, Hold, LetGo, LetGoCommand, Pair
+from m3r_app.arbiter.effects import FaceOperator, Hold, LetGo, LetGoCommand, Pair
 from m3r_app.arbiter.events import PairingAnswered
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import Session
+from m3r_app.output import MotionStatus, Notice, PairStatus
 from safety.confidence import localization
 from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_noisy, with_hover
 from safety.frames import bearing_deg, wrap_deg
-from safety.vocabulary import Finding, ManeuverRequest, Path, VehicleState
+from safety.vocabulary import Cause, Finding, ManeuverRequest, Path, State, VehicleState
 
 TOLD_WHOLE_S = 1.2
 """That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
@@ -40,7 +41,8 @@ def activate(run: Step, colour: str, doubt: Finding | None = None) -> None:
     if doubt is not None:
         _say_not_paired(run, colour, doubt.text)
     elif colour == taken:
-        run.tell("already paired" if session is not None and session.anchor is not None else "already pairing")
+        paired = session is not None and session.anchor is not None
+        run.tell(Notice.ALREADY_PAIRED if paired else Notice.ALREADY_PAIRING)
     else:
         _say_not_paired(run, colour, f"{taken} is paired; disconnect it first")
 
@@ -81,7 +83,7 @@ def face(run: Step, vehicle: VehicleState) -> None:
     lately = tuple(s for s in session.hover if vehicle.at_s - s.at_s <= limits.hover_s)
     if spans_s(lately) < 0.5 * limits.hover_s:
         return  # what was watched before a gap says nothing of now
-    told = ""
+    told: tuple[float, ...] = ()
     if adapted(limits, observed(lately)) != limits or not run.at_rest(vehicle):
         if seen_s < limits.learn_s - 2.0 * HOVER_SAMPLE_S:
             return
@@ -95,12 +97,12 @@ def face(run: Step, vehicle: VehicleState) -> None:
             return
         session = replace(session, configured=limits, noise=noise)
         run.state = replace(run.state, limits=wider)
-        told = f"; its position wanders by {noise.position_m:.1f} m, so it keeps {wider.tracking_m - limits.tracking_m:.1f} m more from everything"
+        told = (noise.position_m, wider.tracking_m - limits.tracking_m)
     run.state = replace(run.state, session=replace(session, centre=vehicle.position, paired_at_s=run.now_s, hover=()))
     run.anchor_here(vehicle)
     run.go(Cause.FACING_OPERATOR)
-    run.do(reports.pair(session.colour, "confirmed"))
-    run.tell(f"paired, facing you{told}")
+    run.do(reports.pair(session.colour, PairStatus.CONFIRMED))
+    run.tell(Notice.PAIRED, metres=told)
 
 
 # ---------------------------------------------------------------- it does not come about
@@ -110,7 +112,7 @@ def call_off_pairing(run: Step, why: str) -> None:
     """The operator or the end of the run wants no pairing any more: no motion comes of it. Source: X4."""
     if run.state.state is State.PAIRING:
         run.state = replace(run.state, pairing_off=why)
-        run.tell(f"not pairing, {why}")
+        run.tell(Notice.NOT_PAIRING, why)
     elif run.state.state is State.FACING:
         refuse_pairing(run, run.session.colour, (why,), taken=True)
 
@@ -133,8 +135,8 @@ def refuse_pairing(run: Step, colour: str, reasons: tuple[str, ...], *, taken: b
 
 
 def _say_not_paired(run: Step, colour: str, *reasons: str) -> None:
-    run.do(reports.pair(colour, "refused", *reasons))
-    run.do(Announce(f"{colour.capitalize()}: not paired, {'; '.join(reasons)}"))
+    run.do(reports.pair(colour, PairStatus.REFUSED, *reasons))
+    run.do(Announce(Notice.NOT_PAIRED, colour, reasons))
 
 
 # ---------------------------------------------------------------- it ends
@@ -146,7 +148,7 @@ def disconnect(run: Step, request: ManeuverRequest) -> None:
     if session is not None:
         paired = session.colour
     if paired is None or request.colour not in (None, paired):
-        run.tell(f"{request.colour or 'no drone'} is not paired, so there is nothing to disconnect")
+        run.tell(Notice.NOTHING_TO_DISCONNECT, asked=request.colour or "")
         return
     if session is None or session.anchor is None:
         call_off_pairing(run, "disconnected before it was paired")
@@ -218,10 +220,10 @@ def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_l
         for suspected in run.state.suspected:
             run.violated(suspected)
     decisions.withdraw(run, why, "X3")
-    execution.end(run, "aborted")
-    run.tell(why)
+    execution.end(run, MotionStatus.ABORTED)
+    run.tell(Notice.LET_GO, why)
     run.go(cause)
-    run.do(reports.pair(session.colour, "released" if session.anchor is not None else "refused", why))
+    run.do(reports.pair(session.colour, PairStatus.RELEASED if session.anchor is not None else PairStatus.REFUSED, why))
     run.state = replace(
         run.state,
         session=None,

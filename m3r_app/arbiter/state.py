@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from m3r_app.arbiter.fusion import Remembered
-from m3r_app.arbiter.modes import MODE_OF, State
+from m3r_app.arbiter.modes import MODE_OF
+from m3r_app.output import Action
 from safety.constraints import RULES, Rule
 from safety.estimate import AT_FIRST, HoverSample, Motion, Noise
 from safety.limits import Limits
@@ -24,6 +25,7 @@ from safety.vocabulary import (
     Plan,
     Primitive,
     ReservedVolume,
+    State,
     VehicleState,
 )
 
@@ -122,7 +124,7 @@ class Suspected:
     """
 
     breach: Breach
-    action: str
+    action: Action
     at_s: float
 
 

@@ -27,10 +27,9 @@ from m3r_app.arbiter.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import ArbiterState
 from safety.estimate import disagreement, moved
-from safety.vocabulary import Command, VehicleState
+from safety.vocabulary import Cause, Command, State, VehicleState
 
 
 def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState, tuple[Effect, ...]]:

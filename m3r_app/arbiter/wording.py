@@ -63,7 +63,7 @@ def _causes(failing: list[tuple[str, str]]) -> str:
 
 def decided(colour: str, what: str, decision: Decision) -> str:
     """A decision as the operator hears it."""
-    name = colour.capitalize()
+    name = colour.capitalize() or "No drone"
     why = reasons(decision.findings)
     if decision.primitive is Primitive.RETURN:
         what = WORD_OF[Primitive.RETURN]

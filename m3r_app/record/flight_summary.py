@@ -10,9 +10,22 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from m3r_app.output import (
+    EVENT_TYPES,
+    DecisionEvent,
+    EndEvent,
+    ModeEvent,
+    MotionEvent,
+    OutputEvent,
+    RequestEvent,
+    Told,
+    known,
+)
+from m3r_app.output_schema import event_of
+
 Place = tuple[float, float, float]
 """North, east, down, metres."""
-EVENTS = ("pair", "request", "decision", "mode", "motion", "violation", "announce", "end")
+EVENTS = frozenset(kind.name for kind in EVENT_TYPES)
 TRACK_S = 0.1
 """Telemetry is thinned to this; a report is no replay."""
 
@@ -32,19 +45,19 @@ class Asked:
     """Where the drone was."""
     confirmed: float | None = None
     """Confidence after a second modality confirmed it."""
-    decisions: list[Mapping[str, Any]] = field(default_factory=list)
+    decisions: list[DecisionEvent] = field(default_factory=list)
     decided_s: list[float] = field(default_factory=list)
     """When each decision fell."""
-    motions: list[Mapping[str, Any]] = field(default_factory=list)
+    motions: list[MotionEvent] = field(default_factory=list)
 
     @property
     def verdict(self) -> str:
         """The final verdict; empty for what gets none (stop, activate, disconnect)."""
-        return str(self.decisions[-1]["verdict"]) if self.decisions else ""
+        return str(self.decisions[-1].verdict) if self.decisions else ""
 
     @property
     def outcome(self) -> str:
-        return str(self.motions[-1]["status"]) if self.motions else ""
+        return str(self.motions[-1].status) if self.motions else ""
 
 
 @dataclass
@@ -60,8 +73,8 @@ class Track:
 class Story:
     """The whole. Times in seconds since the start."""
 
-    events: list[Mapping[str, Any]] = field(default_factory=list)
-    """The machine-readable output, each with `t` and `event`."""
+    events: list[Told] = field(default_factory=list)
+    """The machine-readable output."""
     requests: list[Asked] = field(default_factory=list)
     modes: list[tuple[float, str, str]] = field(default_factory=list)
     """When, mode, fine state."""
@@ -77,14 +90,14 @@ class Story:
     """Messages that the record says it lacks."""
 
     @property
-    def end(self) -> Mapping[str, Any] | None:
+    def end(self) -> EndEvent | None:
         """The last event, if the run came to its end."""
-        return next((e for e in reversed(self.events) if e["event"] == "end"), None)
+        return next((told.event for told in reversed(self.events) if isinstance(told.event, EndEvent)), None)
 
     @property
     def length_s(self) -> float:
         """Up to the last thing that is known."""
-        times = [float(e["t"]) for e in self.events[-1:]] + self.track.times_s[-1:]
+        times = [told.t_s for told in self.events[-1:]] + self.track.times_s[-1:]
         return max(times, default=0.0)
 
     def latencies_ms(self) -> dict[str, list[float]]:
@@ -100,10 +113,9 @@ class Story:
         found: dict[str, list[tuple[float, float, bool]]] = {}
         for asked in self.requests:
             for t_s, decision in zip(asked.decided_s, asked.decisions, strict=True):
-                for one in decision["findings"]:
-                    margin_m = number(one["margin"])
-                    if margin_m is not None and one["unit"] == "m":
-                        found.setdefault(str(one["constraint"]), []).append((t_s, margin_m, bool(one["passed"])))
+                for one in decision.findings:
+                    if one.margin is not None and one.unit == "m":
+                        found.setdefault(one.constraint, []).append((t_s, one.margin, one.passed))
         return found
 
 
@@ -112,32 +124,12 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
     story, by_id = Story(), dict[str, Asked]()
     for topic, t_s, data in messages:
         if topic in EVENTS:
-            story.events.append({"t": t_s, "event": topic, **data})
+            event = known(event_of(topic, data))
+            story.events.append(Told(t_s, event))
+            _take(story, by_id, t_s, event)
         match topic:
-            case "request" if str(data["id"]) in by_id:
-                by_id[str(data["id"])].confirmed = number(data.get("confidence"))
-            case "request":
-                asked = Asked(
-                    t_s,
-                    str(data["id"]),
-                    str(data["command"]),
-                    str(data["modality"]),
-                    number(data.get("confidence")),
-                    str(data.get("evidence") or ""),
-                    number(data.get("latency_ms")),
-                    story.track.places[-1] if story.track.places else None,
-                )
-                by_id[asked.id] = asked
-                story.requests.append(asked)
-            case "decision" if data["request"] in by_id:
-                by_id[data["request"]].decided_s.append(t_s)
-                by_id[data["request"]].decisions.append(data)
-            case "motion" if data["request"] in by_id:
-                by_id[data["request"]].motions.append(data)
             case "stage":
                 story.stage = data
-            case "mode":
-                story.modes.append((t_s, str(data["mode"]), str(data["state"])))
             case "telemetry":
                 _follow(story.track, t_s, data.get("position"), data.get("velocity"))
             case "neighbours":
@@ -159,6 +151,26 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
             case "record_gap":
                 story.gaps += int(data["dropped"])
     return story
+
+
+def _take(story: Story, by_id: dict[str, Asked], t_s: float, event: OutputEvent) -> None:
+    match event:
+        case RequestEvent() if event.id in by_id:
+            by_id[event.id].confirmed = event.confidence
+        case RequestEvent():
+            place = story.track.places[-1] if story.track.places else None
+            asked = Asked(
+                t_s, event.id, event.command, event.modality, event.confidence, event.evidence, event.latency_ms, place
+            )
+            by_id[asked.id] = asked
+            story.requests.append(asked)
+        case DecisionEvent() if event.request in by_id:
+            by_id[event.request].decided_s.append(t_s)
+            by_id[event.request].decisions.append(event)
+        case MotionEvent() if event.request in by_id:
+            by_id[event.request].motions.append(event)
+        case ModeEvent():
+            story.modes.append((t_s, event.mode, event.state))
 
 
 def number(value: object) -> float | None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import random
 import re
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from modalities.hands.video import Clock, Frame, Picture, VideoError
+from modalities.notices import Say, SenseChange, nothing_said
 
 OPEN_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 2.0
@@ -59,7 +60,7 @@ class Camera:
         address: CameraAddress,
         *,
         clock: Clock,
-        say: Callable[[str], None] = lambda _text: None,
+        say: Say = nothing_said,
     ) -> None:
         """Opens it, within seconds. Raises VideoError if it cannot be opened or gives no picture now."""
         self.dropped = 0
@@ -93,13 +94,16 @@ class Camera:
                 if frame is None:
                     if not silent and now_s - silent_since_s >= SILENT_S:
                         silent = True
-                        self._say(f"{self.name} has given no new picture for {SILENT_S:.0f} s: hands are not seen")
+                        self._say(
+                            f"{self.name} has given no new picture for {SILENT_S:.0f} s: hands are not seen",
+                            SenseChange.HANDS_NOT_SEEN,
+                        )
                     continue
                 if now_s - frame.captured_at_s > STALE_S:
                     self.dropped += 1
                     continue
                 if silent:
-                    self._say(f"{self.name} gives pictures again")
+                    self._say(f"{self.name} gives pictures again", SenseChange.HANDS_SEEN_AGAIN)
                 silent, silent_since_s = False, now_s
                 yield frame
         finally:

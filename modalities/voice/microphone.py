@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from modalities.notices import Say, SenseChange, nothing_said
 from modalities.voice.audio import SAMPLE_RATE_HZ, Chunk, Gap
 from modalities.voice.capture import FLOOR_DBFS, Block, Converter, level_dbfs
 from modalities.voice.devices import (
@@ -112,7 +113,7 @@ class Microphone:
         name: str | None = None,
         *,
         clock: Clock,
-        say: Callable[[str], None] = lambda _sentence: None,
+        say: Say = nothing_said,
         talking: Callable[[], bool] | None = None,
         shapes: tuple[tuple[int, int], ...] = (),
     ) -> None:
@@ -243,7 +244,7 @@ class Microphone:
             patience_s = SILENT_S
             if self._away:
                 self._away = False
-                self._say(f"{self._label} is back: you are heard again")
+                self._say(f"{self._label} is back: you are heard again", SenseChange.VOICE_BACK)
             if (
                 block.number != expected and expected > 0
             ):  # the first blocks after a start may overflow: nothing was said yet
@@ -266,7 +267,10 @@ class Microphone:
             return
         self._away = True
         self._lost = Lost(self._lost.device, self._lost.ours, self._lost.unplugged + 1)
-        self._say(f"{self._label} is gone: you are not heard until it is back, so use another way to say stop")
+        self._say(
+            f"{self._label} is gone: you are not heard until it is back, so use another way to say stop",
+            SenseChange.VOICE_GONE,
+        )
 
     def _tell_lost_sound(self) -> None:
         now_s = self._clock()

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from m3r_app.arbiter.effects import Announce, Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
+from m3r_app.arbiter.announcements import Announce
+from m3r_app.arbiter.effects import Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
 from m3r_app.arbiter.events import (
     Event,
     NeighboursHeard,
@@ -21,7 +22,7 @@ from m3r_app.arbiter.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, State
+from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.frames import wrap_deg
@@ -38,6 +39,7 @@ from safety.vocabulary import (
     Operator,
     Plan,
     ReservedVolume,
+    State,
     VehicleState,
 )
 

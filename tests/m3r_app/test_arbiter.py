@@ -26,12 +26,11 @@ from m3r_app.arbiter.events import (
     TelemetryArrived,
     Tick,
 )
-from m3r_app.arbiter.modes import Cause, State
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.limits import Limits
 from safety.obstacles import Obstacles
-from safety.vocabulary import Command, Modality, Mode, Ned, Neighbours, Primitive, ReservedVolume
+from safety.vocabulary import Cause, Command, Modality, Mode, Ned, Neighbours, Primitive, ReservedVolume, State
 from tests.m3r_app.tabletop import FLAT, MOVING, PLACE, Tabletop, ball, check_step
 
 VOICE, GESTURE, PANEL = Modality.VOICE, Modality.GESTURE, Modality.PANEL
@@ -414,6 +413,7 @@ def test_activate_while_paired() -> None:
     table.ask(Command.ACTIVATE, colour="blue")
     assert table.reports("pair")[-1] == {
         "vehicle": "blue", "status": "refused", "reasons": ["red is paired; disconnect it first"],
+        "operator": None, "vehicle_position": None,
     }  # fmt: skip
     table.ask(Command.ACTIVATE, colour="red")
     assert table.said()[-1] == "Red: already paired"

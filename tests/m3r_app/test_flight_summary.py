@@ -31,7 +31,7 @@ def test_a_confirmation_is_no_second_request() -> None:
 
 
 def test_the_last_decision_is_final() -> None:
-    delayed = {"request": "voice-1", "verdict": "delayed", "findings": []}
+    delayed = {"request": "voice-1", "verdict": "delayed", "requested_m": 1.0, "granted_m": None, "findings": []}
     story = told(
         ("request", 1.0, request("voice-1")),
         ("decision", 1.0, delayed),
@@ -57,18 +57,30 @@ def test_latencies_are_by_modality_and_rising() -> None:
 
 def test_margins_of_decisions_are_those_in_metres() -> None:
     findings = [
-        {"constraint": "agl", "margin": 1.5, "unit": "m", "passed": True},
-        {"constraint": "agl", "margin": math.nan, "unit": "m", "passed": False},
-        {"constraint": "input_confidence", "margin": -0.2, "unit": "", "passed": False},
+        {"requirements": [], "text": "", "constraint": "agl", "margin": 1.5, "unit": "m", "passed": True},
+        {"requirements": [], "text": "", "constraint": "agl", "margin": math.nan, "unit": "m", "passed": False},
+        {"requirements": [], "text": "", "constraint": "input_confidence", "margin": -0.2, "unit": "", "passed": False},
     ]
-    decision = {"request": "voice-1", "verdict": "rejected", "findings": findings}
+    decision = {
+        "request": "voice-1",
+        "verdict": "rejected",
+        "requested_m": 1.0,
+        "granted_m": None,
+        "findings": findings,
+    }
     assert told(("request", 1.0, request("voice-1")), ("decision", 1.5, decision)).decided_m() == {
         "agl": [(1.5, 1.5, True)]
     }
 
 
 def test_a_decision_about_nothing_that_was_asked_is_only_an_event() -> None:
-    story = told(("decision", 1.0, {"request": "ghost", "verdict": "approved", "findings": []}))
+    story = told(
+        (
+            "decision",
+            1.0,
+            {"request": "ghost", "verdict": "approved", "requested_m": None, "granted_m": None, "findings": []},
+        )
+    )
     assert story.requests == []
     assert len(story.events) == 1
 

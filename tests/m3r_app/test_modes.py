@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, Cause, State, mermaid, next_state
-from safety.vocabulary import Mode
+from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, mermaid, next_state
+from safety.vocabulary import Cause, Mode, State
 
 pytestmark = pytest.mark.requirement("P1")
 

@@ -15,11 +15,10 @@ import pytest
 
 from m3r_app.arbiter.effects import FaceOperator, Hold, LetGo
 from m3r_app.arbiter.events import FrameMoved, TelemetryArrived
-from m3r_app.arbiter.modes import State
 from m3r_app.arbiter.state import Policy
 from m3r_app.arbiter.wording import reasons
 from safety.limits import Limits
-from safety.vocabulary import Command, Finding, Ned
+from safety.vocabulary import Command, Finding, Ned, State
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.test_arbiter import delayed, facing, flying, held, settling, waiting
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from m3r_app.arbiter.modes import State
+from m3r_app.output import Notice
 from m3r_app.takeoff_landing import GroundWork
-from safety.vocabulary import Geodetic
+from safety.vocabulary import Geodetic, State
 
 pytestmark = pytest.mark.requirement("P1")
 
@@ -50,7 +50,7 @@ async def test_a_drone_that_somebody_else_holds_is_not_landed() -> None:
     red, green, airspace, said = Drone("red"), Drone("green"), Held(), list[str]()
     done = asyncio.Event()
 
-    def say(text: str) -> None:
+    def say(text: str, _notice: Notice = Notice.INFORMATION, /) -> None:
         said.append(text)
         if "not landing" in text or "done landing" in text:
             done.set()
@@ -76,7 +76,7 @@ async def test_a_drone_that_somebody_else_holds_is_not_landed() -> None:
 async def test_a_take_off_that_would_only_be_refused_in_the_air_is_not_begun() -> None:
     red, said, done = Drone("red"), list[str](), asyncio.Event()
 
-    def say(text: str) -> None:
+    def say(text: str, _notice: Notice = Notice.INFORMATION, /) -> None:
         said.append(text)
         if "not taking off" in text:
             done.set()

@@ -15,6 +15,7 @@ from config.settings import load_settings
 from m3r_app.inputs import Hands, Senses
 from modalities.hands.video import Frame, VideoFile
 from modalities.models.catalogue import ModelError, find_hand_model
+from modalities.notices import SenseChange
 from safety.vocabulary import Command, ManeuverRequest
 from tests.whole import PLAIN, m3r
 
@@ -93,8 +94,8 @@ async def test_a_stuck_camera_does_not_keep_the_end_of_a_run_waiting() -> None:
         def close(self) -> None:
             self.freed.set()
 
-    said: list[str] = []
-    hands = Hands(DRAWN, load_settings().gesture, time.monotonic, said.append)
+    said: list[object] = []
+    hands = Hands(DRAWN, load_settings().gesture, time.monotonic, lambda text, change=None: said.append((text, change)))
     stuck = Stuck()
     hands._file, hands._camera = None, stuck  # type: ignore[assignment]
     playing = asyncio.create_task(
@@ -126,7 +127,8 @@ async def test_a_live_stream_that_breaks_is_told_and_ends_nothing() -> None:
     told = asyncio.Event()
     said: list[str] = []
 
-    def say(sentence: str) -> None:
+    def say(sentence: str, change: SenseChange | None = None) -> None:
+        assert change is SenseChange.HANDS_OFF
         said.append(sentence)
         told.set()
 

@@ -86,7 +86,7 @@ class Ears:
 
 def listen(model: vosk.Model, name: str | None = MICROPHONE, **options: object) -> Ears:
     said: list[str] = []
-    microphone = Microphone(name, clock=time.monotonic, say=said.append, **options)
+    microphone = Microphone(name, clock=time.monotonic, say=lambda text, _change=None: said.append(text), **options)
     microphone.open()
     passed: list[Chunk | Gap] = []
 

@@ -12,6 +12,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from modalities.notices import SenseChange
 from modalities.voice import microphone as microphone_module
 from modalities.voice.audio import Chunk, Gap
 from modalities.voice.capture import FLOOR_DBFS
@@ -114,11 +115,16 @@ class Listening:
 
     def __init__(self, name: str | None = "headset", **options) -> None:
         self.said: list[str] = []
-        self.microphone = Microphone(name, clock=time.monotonic, say=self.said.append, **options)
+        self.changes: list[SenseChange | None] = []
+        self.microphone = Microphone(name, clock=time.monotonic, say=self.hear, **options)
         self.microphone.open()
         self.passed: list[Chunk | Gap] = []
         self._thread = threading.Thread(target=lambda: self.passed.extend(self._noted()), daemon=True)
         self._thread.start()
+
+    def hear(self, sentence: str, change: SenseChange | None = None) -> None:
+        self.said.append(sentence)
+        self.changes.append(change)
 
     def _noted(self):
         for one in self.microphone.chunks():
@@ -260,6 +266,7 @@ def test_a_device_that_goes_is_told_and_taken_again(sound: StandIn, monkeypatch:
     sound.opened[-1].give(1000, count=3)
     until(lambda: len(ears.passed) >= before + 3)
     assert ears.said[1:] == ["the microphone Headset: USB Audio is back: you are heard again"]
+    assert ears.changes == [SenseChange.VOICE_GONE, SenseChange.VOICE_BACK]
     assert ears.gaps[0].ended
     assert ears.microphone.lost == Lost(0, 0, 1)
     ears.close()

@@ -13,6 +13,7 @@ import pytest
 
 from modalities.hands.camera import Camera, CameraAddress, camera_address
 from modalities.hands.video import Frame, PlayedFile, VideoError, VideoFile
+from modalities.notices import SenseChange
 from tests.mjpeg import Site, serving
 
 WIDTH_PX, HEIGHT_PX = 160, 120
@@ -196,8 +197,8 @@ def test_a_lost_camera_is_announced_and_taken_up_again(
     monkeypatch.setattr("modalities.hands.camera.SILENT_S", 0.3)
     monkeypatch.setattr("modalities.hands.camera.FIRST_PAUSE_S", 0.1)
     monkeypatch.setattr("modalities.hands.camera.LONGEST_PAUSE_S", 0.2)
-    said: list[str] = []
-    watcher = Watcher(Camera(address, clock=time.monotonic, say=said.append))
+    said: list[tuple[str, SenseChange | None]] = []
+    watcher = Watcher(Camera(address, clock=time.monotonic, say=lambda text, change=None: said.append((text, change))))
     try:
         until(lambda: len(watcher.frames) >= 3)
         handler.down = True
@@ -207,16 +208,17 @@ def test_a_lost_camera_is_announced_and_taken_up_again(
         until(lambda: len(watcher.frames) > before and len(said) == 2)
     finally:
         watcher.end()
-    assert "hands are not seen" in said[0]
-    assert "gives pictures again" in said[1]
-    assert address.name in said[0]
+    assert [change for _, change in said] == [SenseChange.HANDS_NOT_SEEN, SenseChange.HANDS_SEEN_AGAIN]
+    assert "hands are not seen" in said[0][0]
+    assert "gives pictures again" in said[1][0]
+    assert address.name in said[0][0]
 
 
 def test_a_frozen_camera_gives_nothing(site: tuple[type[Site], CameraAddress], monkeypatch: pytest.MonkeyPatch) -> None:
     handler, address = site
     monkeypatch.setattr("modalities.hands.camera.SILENT_S", 0.3)
-    said: list[str] = []
-    watcher = Watcher(Camera(address, clock=time.monotonic, say=said.append))
+    said: list[tuple[str, SenseChange | None]] = []
+    watcher = Watcher(Camera(address, clock=time.monotonic, say=lambda text, change=None: said.append((text, change))))
     try:
         until(lambda: len(watcher.frames) >= 3)
         handler.frozen = True

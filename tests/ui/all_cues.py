@@ -7,42 +7,33 @@ from collections.abc import Iterator
 from typing import Any
 
 from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS
+from m3r_app.output import Action, Notice, Told
 from safety.constraints import RULES
 from safety.vocabulary import Command, Modality, Verdict
-from ui.cues import _ANNOUNCED, Cues
+from tests.told import told
+from ui.cues import Cues
 
 CONSTRAINTS = (*(rule.name for rule in RULES), "paired", "contradiction")
 MOVES = tuple(c.value for c in Command if c not in (Command.STOP, Command.ACTIVATE, Command.DISCONNECT))
-TEXTS = (
-    "0.3 m too close to the wall",
-    "0.3 m too close to blue",
-    "0.3 m too close to the bus stop",
-    "0.3 m too close to go left",
-    "blue: last heard 2.0 s ago, so it could be too close",
-)
+SUBJECTS = ("", "the wall", "blue", "the bus stop", "go left")
 
 
-def finding(constraint: str, text: str = "", margin: float | None = -0.3, **fields: object) -> dict[str, Any]:
-    found = {"constraint": constraint, "margin": margin, "unit": "m", "passed": False, "text": text, "requirements": []}
+def finding(constraint: str, subject: str = "", margin: float | None = -0.3, **fields: object) -> dict[str, Any]:
+    found = {"constraint": constraint, "margin": margin, "text": "a sentence", "requirements": [], "subject": subject}
     return {**found, **fields}
 
 
-def request(command: str, modality: str = "voice", number: str = "r1") -> dict[str, Any]:
-    return {"t": 1.0, "event": "request", "id": number, "command": command, "modality": modality}
+def request(command: str, modality: str = "voice", number: str = "r1") -> Told:
+    return told("request", id=number, command=command, modality=modality)
 
 
-def decision(
-    verdict: str, *findings: dict[str, Any], granted_m: float | None = None, number: str = "r1"
-) -> dict[str, Any]:
+def decision(verdict: str, *findings: dict[str, Any], granted_m: float | None = None, number: str = "r1") -> Told:
     granted_m = granted_m if verdict in ("approved", "reduced") else None
-    return {
-        "t": 1.1, "event": "decision", "request": number, "verdict": verdict, "requested_m": 1.0, "granted_m": granted_m,
-        "findings": list(findings),
-    }  # fmt: skip
+    return told("decision", 1.1, request=number, verdict=verdict, granted_m=granted_m, findings=findings)
 
 
-def pair(status: str, vehicle: str = "red", t: float = 0.0) -> dict[str, Any]:
-    return {"t": t, "event": "pair", "vehicle": vehicle, "status": status, "reasons": ["because"]}
+def pair(status: str, vehicle: str = "red", t: float = 0.0) -> Told:
+    return told("pair", t, vehicle=vehicle, status=status, reasons=["because"])
 
 
 def paired(colour: str = "red", **options: bool) -> Cues:
@@ -53,13 +44,13 @@ def paired(colour: str = "red", **options: bool) -> Cues:
     return cues
 
 
-def all_events() -> Iterator[list[dict[str, Any]]]:
+def all_events() -> Iterator[list[Told]]:
     """Events that follow a pairing, each list from the same beginning."""
     for command, modality in itertools.product(Command, Modality):
         yield [request(command.value, modality.value)]
     for command, verdict, constraint in itertools.product(MOVES, Verdict, CONSTRAINTS):
-        for margin, text in itertools.product((None, -0.3), TEXTS):
-            found = finding(constraint, text, margin)
+        for margin, subject in itertools.product((None, -0.3), SUBJECTS):
+            found = finding(constraint, subject, margin)
             yield [request(command), decision(verdict.value, found, granted_m=0.4)]
     for modality in Modality:
         yield [request("go_left", modality.value), decision("rejected", finding("input_confidence"))]
@@ -68,21 +59,18 @@ def all_events() -> Iterator[list[dict[str, Any]]]:
     for command, centimetres in itertools.product(("go_up", "turn_left", "continue"), range(0, 520, 7)):
         yield [request(command), decision("approved", granted_m=centimetres / 100)]
     for command in MOVES:
-        yield [request(command), {"t": 2.0, "event": "motion", "request": "r1", "status": "completed"}]
-    yield [{"t": 2.0, "event": "motion", "request": "return", "status": "completed"}]
+        yield [request(command), told("motion", 2.0)]
+    yield [told("motion", 2.0, request="return")]
     for (state, cause), to in TRANSITIONS.items():
-        yield [
-            {"t": 2.0, "event": "mode", "mode": MODE_OF[to], "previous": MODE_OF[state], "state": to, "cause": cause}
-        ]
+        yield [told("mode", 2.0, mode=MODE_OF[to], previous=MODE_OF[state], state=to, cause=cause)]
     for status, vehicle in itertools.product(
         ("requested", "confirmed", "refused", "released"), ("red", "blue", "stop")
     ):
         yield [pair(status, vehicle, 2.0)]
-    for constraint, action, text in itertools.product(CONSTRAINTS, ("abort", "hold", "none, the plan mends it"), TEXTS):
-        yield [{"t": 2.0, "event": "violation", "kind": "actual", "action": action, **finding(constraint, text)}]
-    for part, *_ in _ANNOUNCED:
-        yield [{"t": 2.0, "event": "announce", "text": f"Red {part} stop"}]
-    yield [{"t": 2.0, "event": "announce", "text": "use another way to say stop"}]
+    for constraint, action, subject in itertools.product(CONSTRAINTS, Action, SUBJECTS):
+        yield [told("violation", 2.0, action=action, **finding(constraint, subject))]
+    for notice in Notice:
+        yield [told("announce", 2.0, notice=notice, text="use another way to say stop")]
 
 
 def all_cues(colours: tuple[str, ...] = ("red", "green", "blue")) -> list[str]:

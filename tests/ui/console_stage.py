@@ -9,13 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from m3r_app.arbiter.modes import State
 from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.snapshot import Craft, Picture
 from safety.limits import Limits
-from safety.vocabulary import Anchor, Command, ManeuverRequest, Modality, Ned, Neighbours, VehicleState
+from safety.vocabulary import Anchor, Command, ManeuverRequest, Modality, Ned, Neighbours, State, VehicleState
 from ui.console.app import Console
 
 SMALL, LARGE = (80, 24), (140, 45)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -19,9 +19,9 @@ from textual.strip import Strip
 from textual.widgets import Button, Static
 from textual.widgets._toast import Toast
 
-from m3r_app.arbiter.modes import State
 from m3r_app.run_setup import Setting
-from safety.vocabulary import Command
+from safety.vocabulary import Command, State
+from tests.told import told
 from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_picture, hillside, text_of
 from ui.console.keys import FLOOD, KEYS
 from ui.console.prompts import READ_S, Help, Question
@@ -30,47 +30,23 @@ from ui.console.views import heights
 
 pytestmark = pytest.mark.xdist_group("screen")  # one at a time, so that what is drawn is drawn in time
 
-SHORTENED: dict[str, Any] = {
-    "t": 12.3,
-    "event": "decision",
-    "request": "panel-1",
-    "verdict": "reduced",
-    "requested_m": 1.0,
-    "granted_m": 0.4,
-    "findings": [
-        {
-            "requirements": ["R3"],
-            "constraint": "obstacle_clearance",
-            "margin": -0.6,
-            "unit": "m",
-            "passed": False,
-            "text": "the wall: 0.6 m too near",
-        },
-        {
-            "requirements": ["R7"],
-            "constraint": "workspace",
-            "margin": 4.0,
-            "unit": "m",
-            "passed": True,
-            "text": "workspace: 4.0 m to spare",
-        },
-    ],
-}
-REJECTED = {**SHORTENED, "verdict": "rejected", "granted_m": None}
-STORY: list[Mapping[str, Any]] = [
-    {"t": 10.0, "event": "pair", "vehicle": "red", "status": "confirmed", "reasons": []},
+FINDINGS = (
+    {"requirements": ["R3"], "constraint": "obstacle_clearance", "margin": -0.6, "text": "the wall: 0.6 m too near"},
     {
-        "t": 12.3,
-        "event": "request",
-        "id": "panel-1",
-        "command": "go_right",
-        "modality": "panel",
-        "confidence": 1.0,
-        "evidence": "",
-        "latency_ms": 0.0,
+        "requirements": ["R7"],
+        "constraint": "workspace",
+        "margin": 4.0,
+        "passed": True,
+        "text": "workspace: 4.0 m to spare",
     },
+)
+SHORTENED = told("decision", 12.3, request="panel-1", verdict="reduced", granted_m=0.4, findings=FINDINGS)
+REJECTED = told("decision", 12.3, request="panel-1", verdict="rejected", findings=FINDINGS)
+STORY = [
+    told("pair", 10.0),
+    told("request", 12.3, id="panel-1", command="go_right", modality="panel", confidence=1.0, latency_ms=0.0),
     SHORTENED,
-    {"t": 12.3, "event": "announce", "text": "Red: right 0.40 m of 1.00 m, the wall: 0.6 m too near"},
+    told("announce", 12.3, text="Red: right 0.40 m of 1.00 m, the wall: 0.6 m too near"),
 ]
 
 
@@ -343,10 +319,10 @@ async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
     async with app.run_test(size=SMALL, notifications=True) as pilot:
         for number in range(5):
             finding = {
-                **SHORTENED["findings"][0],
+                **FINDINGS[0],
                 "text": f"wall {number}: a reason that is told in more than one line",
             }
-            app._flying._events.append({**REJECTED, "findings": [finding]})
+            app._flying._events.append(told("decision", 12.3, verdict="rejected", findings=[finding]))
 
             def newest() -> str:
                 lines = map(_told, app.screen._compositor.render_strips())

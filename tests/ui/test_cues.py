@@ -9,14 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m3r_app.output import Notice, Told
 from modalities.voice.phrases import STOP_WORD, PhraseTable, normalise
 from safety.separation import neighbour_age, separation
 from safety.situation import Situation
 from safety.spatial import geofence, obstacle_clearance
 from safety.vocabulary import Finding, Ned
 from tests.safety.scene import EXACT, NOW_S, START, situation, sky, square_fence, straight, wall, world
+from tests.told import told
 from tests.ui.all_cues import CONSTRAINTS, all_cues, decision, finding, pair, paired, request
-from ui.cues import _ANNOUNCED, _REASON, AGAIN_S, Cue, Cues, metres, number
+from ui.cues import _REASON, AGAIN_S, Cue, Cues, metres, number
 
 ROOT = Path(__file__).resolve().parents[2]
 COLOURS = ("red", "green", "blue")
@@ -25,33 +27,30 @@ STILL = Ned(0.0, 0.0, 0.0)
 AHEAD = START.plus(Ned(2.0, 0.0, 0.0))
 
 
-def violation(
-    constraint: str = "obstacle_clearance", action: str = "abort", t: float = 2.0, **fields: Any
-) -> dict[str, Any]:
-    told = {"t": t, "event": "violation", "kind": "actual", "action": action}
-    return {**told, **finding(constraint, "0.3 m too close to the wall", **fields)}
+def violation(constraint: str = "obstacle_clearance", action: str = "abort", t: float = 2.0, **fields: Any) -> Told:
+    return told("violation", t, action=action, **finding(constraint, **{"subject": "the wall", **fields}))
 
 
-def mode(cause: str, to: str = "Blocked", t: float = 2.0) -> dict[str, Any]:
-    return {"t": t, "event": "mode", "mode": to, "previous": "ManeuverResponseArmed", "state": to, "cause": cause}
+def mode(cause: str, to: str = "Blocked", t: float = 2.0) -> Told:
+    return told("mode", t, mode=to, cause=cause)
 
 
-def announce(text: str) -> dict[str, Any]:
-    return {"t": 2.0, "event": "announce", "text": text}
+def announce(notice: Notice) -> Told:
+    return told("announce", 2.0, notice=notice, text="any sentence")
 
 
-def completed(number: str = "r1") -> dict[str, Any]:
-    return {"t": 2.0, "event": "motion", "request": number, "status": "completed"}
+def completed(number: str = "r1") -> Told:
+    return told("motion", 2.0, request=number)
 
 
-def last(*events: dict[str, Any], **options: bool) -> Cue | None:
+def last(*events: Told, **options: bool) -> Cue | None:
     """The cue of the last event."""
     cues = paired(**options)
     return [cues.of(event) for event in events][-1]
 
 
-WALL = finding("obstacle_clearance", "0.3 m too close to the wall")
-BLUE = finding("separation", "0.3 m too close to blue")
+WALL = finding("obstacle_clearance", "the wall")
+BLUE = finding("separation", "blue")
 
 
 @pytest.mark.parametrize(
@@ -93,12 +92,12 @@ BLUE = finding("separation", "0.3 m too close to blue")
         ([pair("released", t=2.0)], "Red: released", False),
         ([pair("refused", "blue", 2.0)], "Blue: not paired", True),
         ([pair("refused", "red", 2.0)], "Red: already paired, ask again", True),
-        ([announce("Red: returning to the anchor in 2 seconds")], "Red: returning soon", True),
-        ([announce("the microphone x is gone: you are not heard until it is back, so use another way to say stop")],
+        ([announce(Notice.RETURNING_SOON)], "Red: returning soon", True),
+        ([announce(Notice.VOICE_GONE)],
          "You are not heard", True),
     ],
 )  # fmt: skip
-def test_what_is_spoken(events: list[dict[str, Any]], text: str, urgent: bool) -> None:
+def test_what_is_spoken(events: list[Told], text: str, urgent: bool) -> None:
     assert last(*events) == Cue(text, urgent)
 
 
@@ -106,20 +105,20 @@ def test_what_is_spoken(events: list[dict[str, Any]], text: str, urgent: bool) -
     "events",
     [
         [request("go_left")],  # its decision follows
-        [{"t": 1.0, "event": "motion", "request": "r1", "status": "started"}],
-        [{"t": 1.0, "event": "motion", "request": "r1", "status": "aborted"}],
+        [told("motion", status="started")],
+        [told("motion", status="aborted")],
         [
             request("go_left"),
             decision("rejected", finding("contradiction", requirements=["X4"])),
         ],  # STOP said "holding"
         [request("go_left"), decision("rejected", finding("contradiction", requirements=["X14"]))],
         [mode("guards_failed")],  # the decision has told
-        [announce("voice model v, from the shared folder")],
+        [announce(Notice.INFORMATION)],
         [mode("authority_lost"), pair("released", t=2.0)],
-        [{"t": 9.0, "event": "end", "reason": "timeout"}],
+        [told("end", 9.0, reason="timeout")],
     ],
 )
-def test_what_is_not_spoken(events: list[dict[str, Any]]) -> None:
+def test_what_is_not_spoken(events: list[Told]) -> None:
     assert last(*events) is None
 
 
@@ -182,7 +181,7 @@ def test_only_the_latest_requests_are_remembered() -> None:
 def told_by_the_rules(rule: Any, scene: Situation) -> dict[str, Any]:
     found: Finding = rule(straight(START.plus(Ned(1.0, 0.0, 0.0))), scene, EXACT)
     assert not found.passed
-    return finding(found.constraint, found.text, found.margin)
+    return finding(found.constraint, found.subject, found.margin)
 
 
 @pytest.mark.parametrize(
@@ -199,18 +198,12 @@ def told_by_the_rules(rule: Any, scene: Situation) -> dict[str, Any]:
         (told_by_the_rules(geofence, situation(world=world(geofence=square_fence(0.5)))), "border too near"),
     ],
 )  # fmt: skip
-def test_names_come_from_the_rules_own_sentences(found: dict[str, Any], why: str) -> None:
+def test_names_come_from_the_rules(found: dict[str, Any], why: str) -> None:
     assert last(request("go_left"), decision("rejected", found)) == Cue(f"Red: left refused, {why}", urgent=True)
 
 
 def test_every_constraint_has_its_words() -> None:
     assert set(_REASON) | {"contradiction"} == set(CONSTRAINTS)
-
-
-@pytest.mark.parametrize("part", [part for part, *_ in _ANNOUNCED])
-def test_every_announcement_that_is_spoken_is_made_somewhere(part: str) -> None:
-    sources = [path for floor in ("m3r_app", "modalities") for path in (ROOT / floor).rglob("*.py")]
-    assert any(part in path.read_text(encoding="utf-8") for path in sources)
 
 
 def is_no_request(text: str, table: PhraseTable) -> bool:
@@ -238,15 +231,14 @@ SAID = st.lists(st.sampled_from([*TABLE.words, "the", "tree", "two"]), min_size=
 
 @given(st.one_of(SAID, st.text(max_size=30)), st.sampled_from(CONSTRAINTS), st.sampled_from(["go_left", "turn_left"]))
 def test_nobodys_name_makes_a_request_of_a_cue(name: str, constraint: str, command: str) -> None:
-    for text in (f"0.3 m too close to {name}", f"{name}: last heard 2.0 s ago"):
-        found = finding(constraint, text)
-        for event in (
-            decision("rejected", found),
-            decision("reduced", found, granted_m=0.4),
-            violation(constraint) | {"text": text},
-        ):
-            cue = last(request(command), event)
-            assert cue is None or is_no_request(cue.text, TABLE), cue
+    found = finding(constraint, name)
+    for event in (
+        decision("rejected", found),
+        decision("reduced", found, granted_m=0.4),
+        violation(constraint, subject=name),
+    ):
+        cue = last(request(command), event)
+        assert cue is None or is_no_request(cue.text, TABLE), cue
 
 
 @pytest.mark.parametrize(

@@ -8,20 +8,20 @@ import os
 import select
 import signal
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from safety.vocabulary import Mode
+from m3r_app.output import AnnounceEvent, MotionEvent, MotionStatus, Told, line
+from tests.told import told
 from ui import output as output_module
-from ui.headless import line
 from ui.narrator import every_sentence, sentence
 from ui.output import Output
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-EVENT = {"t": 1.5, "event": "announce", "text": "moved 1 m left"}
+EVENT = told("announce", 1.5)
 
 
 @pytest.fixture
@@ -40,21 +40,25 @@ def drained(descriptor: int) -> str:
 
 
 def test_lines_are_strict_json() -> None:
-    event = {"margin": math.nan, "event": "mode", "list": [math.inf, -1e-12], "mode": Mode.ARMED, "t": 1.23456789012}
-    text = line(event)
-    assert text.startswith('{"t": 1.2345679, "event": "mode", ')
+    motion = MotionEvent("r1", MotionStatus.STARTED, (math.inf, -1e-12, 1.0), math.nan, None, None, 0.1)
+    text = line(Told(1.23456789012, motion))
+    assert text.startswith('{"t": 1.2345679, "event": "motion", "request": "r1", "status": "started", ')
     assert json.loads(text) == {
         "t": 1.2345679,
-        "event": "mode",
-        "margin": None,
-        "list": [None, 0.0],
-        "mode": "ManeuverResponseArmed",
+        "event": "motion",
+        "request": "r1",
+        "status": "started",
+        "displacement_enu_m": [None, 0.0, 1.0],
+        "yaw_deg": None,
+        "min_clearance_m": None,
+        "min_separation_m": None,
+        "max_speed_m_s": 0.1,
     }
     assert "-0.0" not in text
 
 
 def test_text_cannot_break_a_line() -> None:
-    text = line({"t": 0, "event": "announce", "text": "two\nlines \u2028 \u00e9 \ud800"})
+    text = line(Told(0.0, AnnounceEvent("two\nlines \u2028 \u00e9 \ud800")))
     assert text.isascii()
     assert "\n" not in text
 
@@ -64,22 +68,22 @@ def test_text_cannot_break_a_line() -> None:
     [
         (EVENT, "moved 1 m left"),
         (
-            {"event": "request", "modality": "voice", "evidence": "go left", "command": "go_left", "confidence": 0.934},
+            told("request", modality="voice", evidence="go left", command="go_left", confidence=0.934),
             '> voice "go left": go_left (confidence 0.93)',
         ),
         (
-            {"event": "request", "modality": "panel", "evidence": "", "command": "stop", "confidence": 1.0},
+            told("request", modality="panel", evidence="", command="stop", confidence=1.0),
             "> panel: stop (confidence 1.00)",
         ),
         (
-            {"event": "violation", "kind": "predicted", "requirements": ["R9", "X1"], "action": "hold"},
+            told("violation", kind="predicted", requirements=["R9", "X1"], action="hold"),
             "! predicted violation of R9, X1: hold",
         ),
-        ({"event": "mode", "mode": "Blocked"}, None),
+        (told("mode", mode="Blocked"), None),
     ],
 )
-def test_what_a_person_reads(event: dict[str, Any], said: str | None) -> None:
-    assert sentence(event) == said
+def test_what_a_person_reads(event: Told, said: str | None) -> None:
+    assert sentence(event.event) == said
 
 
 @pytest.mark.parametrize("headless", [True, False])
@@ -88,16 +92,16 @@ def test_where_it_goes(headless: bool) -> None:
     err_r, err_w = os.pipe()
     with Output(headless=headless, out=out_w, err=err_w) as output:
         output.emit(EVENT)
-        output.emit({"t": 2, "event": "mode", "mode": Mode.BLOCKED})
+        output.emit(told("mode", 2.0))
     os.close(out_w)
     os.close(err_w)
     out, err = drained(out_r), drained(err_r)
-    told = "   1.50 s  moved 1 m left\n"
+    said = "   1.50 s  moved 1 m left\n"
     if headless:
         assert [json.loads(text)["event"] for text in out.splitlines()] == ["announce", "mode"]
-        assert err == told
+        assert err == said
     else:
-        assert (out, err) == (told, "")
+        assert (out, err) == (said, "")
 
 
 def test_a_line_is_out_at_once() -> None:
@@ -114,7 +118,7 @@ def test_a_reader_that_does_not_read_stops_nobody(monkeypatch: pytest.MonkeyPatc
     out_r, out_w = os.pipe()
     with Output(headless=True, out=out_w, err=out_w) as output:
         for i in range(5000):  # far more than a pipe holds
-            output.emit({**EVENT, "t": i})
+            output.emit(told("announce", float(i)))
         stuck = next(thread for thread in threading.enumerate() if thread.name == "m3r-output")
     assert stuck.is_alive()
     reader = os.fdopen(out_r)
@@ -161,10 +165,7 @@ def test_nobody_to_hang_up_to(handler: signal.Handlers) -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-MOTION = {
-    "event": "motion", "request": "r1", "status": "completed", "displacement_enu_m": [0.9, -0.1, -0.001], "yaw_deg": 0.4,
-    "min_clearance_m": 4.25, "min_separation_m": None, "max_speed_m_s": 0.48,
-}  # fmt: skip
+MOTION = told("motion", request="r1", status="completed", displacement_enu_m=[0.9, -0.1, -0.001], yaw_deg=0.4, min_clearance_m=4.25, min_separation_m=None, max_speed_m_s=0.48)  # fmt: skip
 FAILED = {
     "passed": False,
     "text": "0.1 m too close to the wall",
@@ -176,25 +177,21 @@ FAILED = {
 @pytest.mark.parametrize(
     ("event", "said"),
     [
-        ({"event": "announce", "text": "Red: left"}, "Red: left"),
+        (told("announce", text="Red: left"), "Red: left"),
         (
-            {"event": "request", "id": "r1", "command": "go_left", "modality": "voice", "evidence": "go left",
-             "confidence": None, "latency_ms": 301.2},
+            told("request", id="r1", command="go_left", modality="voice", evidence="go left", confidence=None, latency_ms=301.2),
             "request r1 by voice, go left: go_left, confidence unknown, after 301 ms",
         ),
         (
-            {"event": "decision", "request": "r1", "verdict": "reduced", "requested_m": 1.0, "granted_m": 0.4,
-             "findings": [FAILED, {**FAILED, "passed": True}]},
+            told("decision", request="r1", verdict="reduced", requested_m=1.0, granted_m=0.4, findings=[FAILED, {**FAILED, "passed": True}]),
             "request r1 is reduced, 0.40 m of 1.00 m; 0.1 m too close to the wall (obstacle_clearance, R3)",
         ),
         (
-            {"event": "decision", "request": "r1", "verdict": "approved", "requested_m": None, "granted_m": None,
-             "findings": []},
+            told("decision", request="r1", verdict="approved", requested_m=None, granted_m=None, findings=[]),
             "request r1 is approved",
         ),
         (
-            {"event": "mode", "mode": "Blocked", "previous": "ManeuverResponseArmed", "state": "Blocked",
-             "cause": "guards_failed"},
+            told("mode", mode="Blocked", previous="ManeuverResponseArmed", state="Blocked", cause="guards_failed"),
             "mode Blocked, Blocked, because of guards_failed; before: ManeuverResponseArmed",
         ),
         (
@@ -202,12 +199,12 @@ FAILED = {
             ("request r1 completed: 0.90 m east, -0.10 m north, 0.00 m up, turned 0 degrees, least clearance 4.25 m, "
             "at most 0.48 m/s"),
         ),
-        ({"event": "pair", "vehicle": "red", "status": "refused", "reasons": ["a", "b"]}, "pairing with red refused: a; b"),
+        (told("pair", vehicle="red", status="refused", reasons=["a", "b"]), "pairing with red refused: a; b"),
         (
-            {"event": "violation", "kind": "predicted", "requirements": ["R5", "R10"], "action": "abort"},
+            told("violation", kind="predicted", requirements=["R5", "R10"], action="abort"),
             "predicted violation of R5, R10: abort",
         ),
     ],
 )  # fmt: skip
-def test_in_plain_mode_every_event_is_one_sentence(event: dict[str, Any], said: str) -> None:
-    assert every_sentence({"t": 1.0, **event}) == said
+def test_in_plain_mode_every_event_is_one_sentence(event: Told, said: str) -> None:
+    assert every_sentence(event.event) == said

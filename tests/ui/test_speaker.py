@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 
 from m3r_app.options import RunOptions
+from m3r_app.output import Told
 from modalities.voice.self_speech import SelfSpeech
+from tests.told import told
 from ui import cli
 from ui import speaker as speaker_module
 from ui.cues import Cue
@@ -273,9 +275,9 @@ def test_when_cues_are_spoken(
     """The app is told of every word of it, by its own clock."""
     known: list[bool] = []
 
-    async def run(options: RunOptions, emit: Callable[[dict[str, object]], None], self_speech: SelfSpeech) -> int:
+    async def run(options: RunOptions, emit: Callable[[Told], None], self_speech: SelfSpeech) -> int:
         assert options.aloud is aloud
-        emit({"t": 0.0, "event": "pair", "vehicle": "red", "status": "requested", "reasons": []})
+        emit(told("pair", 0.0, status="requested"))
         if aloud:
             until(lambda: spoken.log == ["begin Red: pairing"], "it is not spoken")
         known.append(self_speech.overlaps(time.monotonic(), time.monotonic()))

@@ -22,6 +22,7 @@ from textual.screen import ModalScreen, Screen
 from textual.widgets import Button, RichLog, Static
 
 from m3r_app.arbiter.preview import Preview, preview
+from m3r_app.output import DecisionEvent, RequestEvent
 from m3r_app.snapshot import margins
 from safety.vocabulary import Command
 from ui.console import panels, story
@@ -32,8 +33,9 @@ from ui.console.terminal import NEEDED, PlainSigns, Styled, is_plain
 from ui.console.views import Skeleton, View
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
+    from m3r_app.output import Told
     from m3r_app.run_thread import Live
     from m3r_app.snapshot import Picture
     from ui.console.seat import Seat
@@ -123,7 +125,7 @@ class Flying(Screen[None]):
         Binding("q,ctrl+q", "leave", "leave", priority=True, show=False),
     ]
 
-    def __init__(self, live: Live, inbox: deque[Mapping[str, Any]], *, dry_run: bool, takeoff_m: float) -> None:
+    def __init__(self, live: Live, inbox: deque[Told], *, dry_run: bool, takeoff_m: float) -> None:
         super().__init__()
         self._live = live
         self._events = inbox
@@ -137,7 +139,7 @@ class Flying(Screen[None]):
         self._asked: Asked | None = None
         self._last: dict[str, tuple[float, float]] = {}
         self._colours: tuple[str, ...] = ()
-        self._before: Mapping[str, Any] | None = None
+        self._before: Told | None = None
         self._toasted_s: deque[float] = deque(maxlen=TOASTS)
 
     # ------------------------------------------------------------ what there is
@@ -236,14 +238,14 @@ class Flying(Screen[None]):
         session = picture.state.session if picture is not None else None
         width = log.scrollable_content_region.width or None
         while self._events:
-            event = self._events.popleft()
-            for line in story.lines(event, self._before):
+            told = self._events.popleft()
+            for line in story.lines(told, self._before):
                 log.write(line, width=width)
-            self._before = event
-            if event["event"] == "request":
-                self._last[event["modality"]] = (self._live.clock(), event["confidence"] or 0.0)
-            if event["event"] == "decision":
-                self._asked = Asked(event.get("requested_m"), event.get("granted_m"))
+            self._before, event = told, told.event
+            if isinstance(event, RequestEvent):
+                self._last[event.modality] = (self._live.clock(), event.confidence or 0.0)
+            if isinstance(event, DecisionEvent):
+                self._asked = Asked(event.requested_m, event.granted_m)
             toast = story.toast(event, session.colour if session is not None else "")
             if toast is not None:
                 self._toast(toast)
@@ -407,11 +409,11 @@ def preview_table(name: str, command: Command, found: Preview) -> RenderableType
     table.add_column(no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(ratio=1)
-    for finding in sorted(found.decision["findings"], key=lambda f: bool(f["passed"])):
-        margin = "" if finding["margin"] is None else f"{finding['margin']:+.2f} {finding['unit']}"
-        sign, style = ("✓", "green") if finding["passed"] else ("✗", "bold red")
-        name_of = finding["constraint"].replace("_", " ")
-        table.add_row(Text(sign, style), Text(name_of, style), Text(margin, style), Text(finding["text"]))
+    for finding in sorted(found.decision.findings, key=lambda f: f.passed):
+        margin = "" if finding.margin is None else f"{finding.margin:+.2f} {finding.unit}"
+        sign, style = ("✓", "green") if finding.passed else ("✗", "bold red")
+        name_of = finding.constraint.replace("_", " ")
+        table.add_row(Text(sign, style), Text(name_of, style), Text(margin, style), Text(finding.text))
     return Group(text, table)
 
 
@@ -428,7 +430,7 @@ class Console(App[None]):
     def __init__(
         self,
         live: Live,
-        inbox: deque[Mapping[str, Any]],
+        inbox: deque[Told],
         *,
         dry_run: bool = False,
         takeoff_m: float | None = None,

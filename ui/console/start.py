@@ -9,8 +9,9 @@ import termios
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from m3r_app.output import AnnounceEvent, EndEvent, Told
 from m3r_app.run_thread import Live
 from modalities.voice.self_speech import SelfSpeech
 from ui.console.app import KEPT_EVENTS, Console
@@ -20,7 +21,6 @@ from ui.narrator import sentence
 from ui.speaker import speaking
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from m3r_app.options import RunOptions
@@ -69,16 +69,16 @@ def _watch(live: Live) -> None:
 
 
 def _fly(options: RunOptions, seat: Seat | None) -> int:
-    events: deque[Mapping[str, Any]] = deque(maxlen=KEPT_EVENTS)
+    events: deque[Told] = deque(maxlen=KEPT_EVENTS)
     ended: list[str] = []
 
-    def take(event: Mapping[str, Any]) -> None:
-        events.append(event)
-        if event["event"] == "end":
-            ended.append(sentence(event) or "")
+    def take(told: Told) -> None:
+        events.append(told)
+        if isinstance(told.event, EndEvent):
+            ended.append(sentence(told.event) or "")
 
     def trouble(text: str) -> None:
-        take({"t": time.monotonic() - began_s, "event": "announce", "text": text})
+        take(Told(time.monotonic() - began_s, AnnounceEvent(text)))
 
     self_speech, began_s = SelfSpeech(), time.monotonic()
     with speaking(options, self_speech, trouble, take) as emit:
@@ -90,7 +90,7 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
     return status
 
 
-def _shown(options: RunOptions, live: Live, events: deque[Mapping[str, Any]], seat: Seat | None) -> int:
+def _shown(options: RunOptions, live: Live, events: deque[Told], seat: Seat | None) -> int:
     """The run with its screen, to the end of both."""
     for name in ENDING:
         signal.signal(name, lambda *_: live.interrupt())

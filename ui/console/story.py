@@ -2,54 +2,74 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import assert_never
 
 from rich.text import Text
 
+from m3r_app.output import (
+    AnnounceEvent,
+    DecisionEvent,
+    EndEvent,
+    FindingTold,
+    ModeEvent,
+    MotionEvent,
+    MotionStatus,
+    OutputEvent,
+    PairEvent,
+    PairStatus,
+    RequestEvent,
+    Told,
+    ViolationEvent,
+)
+from safety.vocabulary import Verdict
 from ui.narrator import sentence
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 SIGNS = {
-    "approved": ("✓", "green"),
-    "reduced": ("◐", "yellow"),
-    "delayed": ("…", "yellow"),
-    "replaced": ("↻", "yellow"),
-    "rejected": ("✗", "bold red"),
+    Verdict.APPROVED: ("✓", "green"),
+    Verdict.REDUCED: ("◐", "yellow"),
+    Verdict.DELAYED: ("…", "yellow"),
+    Verdict.REPLACED: ("↻", "yellow"),
+    Verdict.REJECTED: ("✗", "bold red"),
 }
 """Verdict: sign and style. In ASCII they are told apart by the word that follows."""
 
 
-def lines(event: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> list[Text]:
+def lines(told: Told, before: Told | None = None) -> list[Text]:
     """What the log gains by this event; nothing for what the event before it, a decision, has told with more numbers."""
-    at = f"{event['t']:6.1f} "
-    match event["event"]:
-        case "request":
-            said = f' "{event["evidence"]}"' if event.get("evidence") else ""
-            text = f"{at}> {event['modality']}{said}: {words(event['command'])}"
-            return [Text(text).append(f" ({event['confidence'] or 0.0:.2f})", style="dim")]
-        case "decision":
+    at, event = f"{told.t_s:6.1f} ", told.event
+    match event:
+        case RequestEvent():
+            said = f' "{event.evidence}"' if event.evidence else ""
+            text = f"{at}> {event.modality}{said}: {words(event.command)}"
+            return [Text(text).append(f" ({event.confidence or 0.0:.2f})", style="dim")]
+        case DecisionEvent():
             return [Text(at).append_text(verdict(event)), *reasons(event)]
-        case "motion" if event["status"] != "started":
-            return [Text(f"{at}  {event['status']}: {_moved(event)}", style="dim")]
-        case "violation":
+        case MotionEvent():
+            if event.status is MotionStatus.STARTED:
+                return []
+            return [Text(f"{at}  {event.status}: {_moved(event)}", style="dim")]
+        case ViolationEvent():
             return [Text(f"{at}! {sentence(event)}", style="bold red")]
-        case "announce" if before is None or before["event"] != "decision":
-            return [Text(f"{at}{event['text']}", style="bold")]
-        case "pair":
-            why = f": {'; '.join(event['reasons'])}" if event.get("reasons") else ""
-            return [Text(f"{at}{event['vehicle'].capitalize()}: pairing {event['status']}{why}", style="bold cyan")]
-        case "end":
+        case AnnounceEvent():
+            if before is not None and isinstance(before.event, DecisionEvent):
+                return []
+            return [Text(f"{at}{event.text}", style="bold")]
+        case PairEvent():
+            why = f": {'; '.join(event.reasons)}" if event.reasons else ""
+            return [Text(f"{at}{event.vehicle.capitalize()}: pairing {event.status}{why}", style="bold cyan")]
+        case EndEvent():
             return [Text(f"{at}{sentence(event)}", style="bold")]
-    return []
+        case ModeEvent():
+            return []
+        case _:
+            assert_never(event)
 
 
-def verdict(decision: Mapping[str, Any]) -> Text:
+def verdict(decision: DecisionEvent) -> Text:
     """The verdict with its metres."""
-    sign, style = SIGNS[decision["verdict"]]
-    text = Text(f"{sign} {decision['verdict']}", style=style)
-    granted_m, requested_m = decision.get("granted_m"), decision.get("requested_m")
+    sign, style = SIGNS[decision.verdict]
+    text = Text(f"{sign} {decision.verdict}", style=style)
+    granted_m, requested_m = decision.granted_m, decision.requested_m
     if granted_m is not None and requested_m is not None:
         text.append(f" {granted_m:.2f} m of {requested_m:.2f} m")
     elif requested_m is not None:
@@ -57,27 +77,29 @@ def verdict(decision: Mapping[str, Any]) -> Text:
     return text
 
 
-def reasons(decision: Mapping[str, Any]) -> list[Text]:
+def reasons(decision: DecisionEvent) -> list[Text]:
     """Every finding that failed, with its margin and requirements."""
     return [
-        Text(f"         {f['text']} ({', '.join(f['requirements'])}{_margin(f)})", style="yellow")
-        for f in decision.get("findings", ())
-        if not f["passed"]
+        Text(f"         {f.text} ({', '.join(f.requirements)}{_margin(f)})", style="yellow") for f in decision.failing
     ]
 
 
-def toast(event: Mapping[str, Any], colour: str) -> str | None:
+def toast(event: OutputEvent, colour: str) -> str | None:
     """What may not be overlooked: a blocked request, a violation, a refused pairing. Named by the drone's colour."""
     name = colour.capitalize() or "No drone"
-    match event["event"]:
-        case "decision" if event["verdict"] == "rejected":
-            why = "; ".join(f["text"] for f in event.get("findings", ()) if not f["passed"])
-            return f"{name}: blocked, {why}"
-        case "violation":
+    match event:
+        case DecisionEvent():
+            blocked = event.verdict is Verdict.REJECTED
+            return f"{name}: blocked, {'; '.join(f.text for f in event.failing)}" if blocked else None
+        case ViolationEvent():
             return f"{name}: {sentence(event)}"
-        case "pair" if event["status"] == "refused":
-            return f"{event['vehicle'].capitalize()}: not paired, {'; '.join(event['reasons'])}"
-    return None
+        case PairEvent():
+            refused = event.status is PairStatus.REFUSED
+            return f"{event.vehicle.capitalize()}: not paired, {'; '.join(event.reasons)}" if refused else None
+        case RequestEvent() | ModeEvent() | MotionEvent() | AnnounceEvent() | EndEvent():
+            return None
+        case _:
+            assert_never(event)
 
 
 def words(command: str) -> str:
@@ -85,18 +107,17 @@ def words(command: str) -> str:
     return command.replace("_", " ")
 
 
-def _margin(finding: Mapping[str, Any]) -> str:
-    margin = finding.get("margin")
-    return "" if margin is None else f", {margin:+.2f} {finding['unit']}"
+def _margin(finding: FindingTold) -> str:
+    return "" if finding.margin is None else f", {finding.margin:+.2f} {finding.unit}"
 
 
-def _moved(event: Mapping[str, Any]) -> str:
-    east, north, up = event["displacement_enu_m"]
+def _moved(event: MotionEvent) -> str:
+    east, north, up = event.displacement_enu_m
     parts = [
         f"{name} {value:+.2f} m" for name, value in (("east", east), ("north", north), ("up", up)) if value is not None
     ]
-    if event.get("min_clearance_m") is not None:
-        parts.append(f"clearance {event['min_clearance_m']:.2f} m")
-    if event.get("min_separation_m") is not None:
-        parts.append(f"separation {event['min_separation_m']:.2f} m")
+    if event.min_clearance_m is not None:
+        parts.append(f"clearance {event.min_clearance_m:.2f} m")
+    if event.min_separation_m is not None:
+        parts.append(f"separation {event.min_separation_m:.2f} m")
     return ", ".join(parts)
