@@ -15,7 +15,7 @@ from m3r_app.arbiter.state import ArbiterState
 from m3r_app.run_setup import Setting
 from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand
-from safety.constraints import RULES, Rule, Subject, findings, nearby
+from safety.constraints import RULES, PathRule, Rule, findings, nearby
 from safety.frames import LocalFrame
 from safety.situation import near_as_before
 from safety.vocabulary import Finding, Ned, Path
@@ -34,7 +34,7 @@ NOWHERE_M = 1e6
 """Who tells to be farther away than this, or NaN, is nowhere."""
 FULL_M = 5.0
 """A margin of so many metres or more fills its bar."""
-HOVER_RULES: tuple[Rule, ...] = tuple(r for r in RULES if r.subject is Subject.PATH and r.name in WATCHED)
+HOVER_RULES: tuple[Rule, ...] = tuple(r for r in RULES if isinstance(r, PathRule) and r.name in WATCHED)
 
 
 @dataclass(frozen=True, slots=True)

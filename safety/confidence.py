@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 
-from safety.findings import amount, refused
+from safety.declarations import AUTHORITY, INPUT_CONFIDENCE, LOCALIZATION, TERRAIN_CONFIDENCE
+from safety.findings import amount
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.spatial import checked_sigma_m, profile
@@ -22,61 +23,58 @@ def confidence_of(sigma_m: float, half_m: float) -> float:
 
 def input_confidence(request: ManeuverRequest, limits: Limits) -> Finding:
     """InputConfidence(m) >= C_min of the modality. A fused request must satisfy the strictest. Source: R11, G1, P2."""
-    name, requirements = "input_confidence", ("R11", "G1", "P2")
     required = {
         Modality.VOICE: limits.confidence_voice,
         Modality.GESTURE: limits.confidence_gesture,
         Modality.PANEL: limits.confidence_panel,
     }.get(request.modality, max(limits.confidence_voice, limits.confidence_gesture, limits.confidence_panel))
     if not 0.0 <= request.confidence <= 1.0:
-        return refused(name, requirements, "", f"the {request.modality} request has no confidence")
+        return INPUT_CONFIDENCE.refused("", f"the {request.modality} request has no confidence")
     margin = request.confidence - required
     text = f"{request.modality} confidence {request.confidence:.2f}, {required:.2f} needed"
-    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+    return INPUT_CONFIDENCE.finding(margin, "", margin >= 0.0, text)
 
 
 def localization(path: Path, situation: Situation, limits: Limits) -> Finding:
     """LocalizationConfidence >= L_min, of a position that is fresh. Source: R11, X6."""
-    name, requirements = "localization", ("R11", "X6")
     age_s = abs(situation.now_s - situation.vehicle.at_s)
     if not age_s <= limits.telemetry_age_s:
         age = amount(age_s, "s") if math.isfinite(age_s) else "an unknown time"
-        return refused(name, requirements, "", f"the drone's position is {age} old")
+        return LOCALIZATION.refused("", f"the drone's position is {age} old")
     if not situation.vehicle.position.finite:
-        return refused(name, requirements, "", "the drone's position is unknown")
+        return LOCALIZATION.refused("", "the drone's position is unknown")
     speed_m_s = situation.vehicle.velocity.norm
     if not speed_m_s <= limits.speed_plausible_m_s:
         said = f"of {amount(speed_m_s, 'm/s')} is not plausible" if math.isfinite(speed_m_s) else "is unknown"
-        return refused(name, requirements, "", f"the drone's velocity {said}")
+        return LOCALIZATION.refused("", f"the drone's velocity {said}")
     off_m = situation.vehicle.disagreement.norm
     if not off_m <= limits.disagreement_m:
-        return refused(name, requirements, "", "the drone's position does not move as its velocity says")
+        return LOCALIZATION.refused("", "the drone's position does not move as its velocity says")
     sigma_m = situation.vehicle.sigma_m
     confidence = confidence_of(sigma_m, limits.localization_half_m)
     if math.isnan(confidence):
-        return refused(name, requirements, "", "the drone states no position accuracy")
+        return LOCALIZATION.refused("", "the drone states no position accuracy")
     margin = confidence - limits.localization_min
     text = f"position known to {amount(sigma_m)}: confidence {confidence:.2f}, {limits.localization_min:.2f} needed"
-    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+    return LOCALIZATION.finding(margin, "", margin >= 0.0, text)
 
 
 def terrain_confidence(path: Path, situation: Situation, limits: Limits) -> Finding:
     """TerrainModelConfidence >= T_min. Source: R11, X6."""
-    name, requirements = "terrain_confidence", ("R11", "X6")
     terrain = situation.world.terrain
     if terrain is None:
-        return refused(name, requirements, "", "there is no terrain model")
+        return TERRAIN_CONFIDENCE.refused("", "there is no terrain model")
     confidence = confidence_of(terrain.sigma_m, limits.terrain_half_m)
     if math.isnan(confidence):
-        return refused(name, requirements, "", "the terrain model states no accuracy")
+        return TERRAIN_CONFIDENCE.refused("", "the terrain model states no accuracy")
     below_m = -float(profile(path, terrain)[0][0])
     explained_m = underground_m(situation.vehicle, terrain.sigma_m, terrain.slope, limits)
     if below_m > explained_m:
         wrong = f"the drone is {amount(below_m)} under the terrain model where {amount(explained_m)} can be explained"
-        return refused(name, requirements, "", f"{wrong}: its height or the model's is wrong")
+        return TERRAIN_CONFIDENCE.refused("", f"{wrong}: its height or the model's is wrong")
     margin = confidence - limits.terrain_confidence_min
     text = f"terrain known to {amount(terrain.sigma_m)}: confidence {confidence:.2f}, {limits.terrain_confidence_min:.2f} needed"
-    return Finding(name, requirements, margin, "", margin >= 0.0, text)
+    return TERRAIN_CONFIDENCE.finding(margin, "", margin >= 0.0, text)
 
 
 def underground_m(vehicle: VehicleState, terrain_sigma_m: float, slope: float, limits: Limits) -> float:
@@ -93,9 +91,9 @@ def authority(path: Path, situation: Situation, limits: Limits) -> Finding:
     held = situation.authority is True
     unfit = unfit_to_fly(situation.vehicle, limits)
     if held and unfit is not None:
-        return Finding("authority", ("X3", "X8"), None, "", False, unfit)
+        return AUTHORITY.finding(None, "", False, unfit)
     text = "this station commands the drone" if held else "this station does not command the drone: pair again"
-    return Finding("authority", ("X3",), None, "", held, text)
+    return AUTHORITY.finding(None, "", held, text)
 
 
 def unfit_to_fly(vehicle: VehicleState, limits: Limits) -> str | None:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from enum import Enum
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from safety import confidence, spatial
+from safety import declarations as d
 from safety import separation as others
+from safety.declarations import Constraint
 from safety.envelope import envelope
 from safety.findings import SPARE_M
 from safety.limits import Limits
@@ -22,44 +22,60 @@ from safety.situation import Situation, World
 from safety.vocabulary import Finding, ManeuverRequest, Ned, Path, Plan
 
 
-class Subject(Enum):
-    """What a rule looks at beside the limits."""
+@dataclass(frozen=True, slots=True)
+class PathRule:
+    """A constraint of the path that is swept; the monitor asks it about the measured state too."""
 
-    PATH = "path"
-    """(path, situation, limits)"""
-    PLAN = "plan"
-    """(plan, situation, limits)"""
-    REQUEST = "request"
-    """(request, limits)"""
+    constraint: Constraint
+    check: Callable[[Path, Situation, Limits], Finding]
+
+    @property
+    def name(self) -> str:
+        return self.constraint.name
 
 
-class Rule(NamedTuple):
-    """One constraint by its name, the requirements it serves, and the predicate."""
+@dataclass(frozen=True, slots=True)
+class PlanRule:
+    """A constraint of the plan itself."""
 
-    name: str
-    requirements: tuple[str, ...]
-    check: Callable[..., Finding]
-    subject: Subject = Subject.PATH
-    hard: bool = False
-    """Violating it in flight is a violation of safety, not only a reason not to start."""
+    constraint: Constraint
+    check: Callable[[Plan, Situation, Limits], Finding]
 
+    @property
+    def name(self) -> str:
+        return self.constraint.name
+
+
+@dataclass(frozen=True, slots=True)
+class RequestRule:
+    """A constraint of what was asked, whatever the situation."""
+
+    constraint: Constraint
+    check: Callable[[ManeuverRequest, Limits], Finding]
+
+    @property
+    def name(self) -> str:
+        return self.constraint.name
+
+
+Rule = PathRule | PlanRule | RequestRule
 
 RULES: tuple[Rule, ...] = (
-    Rule("authority", ("X3",), confidence.authority),
-    Rule("input_confidence", ("R11", "G1", "P2"), confidence.input_confidence, Subject.REQUEST),
-    Rule("localization", ("R11", "X6"), confidence.localization),
-    Rule("terrain_confidence", ("R11", "X6"), confidence.terrain_confidence),
-    Rule("neighbour_age", ("R11", "X6"), others.neighbour_age),
-    Rule("envelope", ("R8", "G6"), envelope, Subject.PLAN, hard=True),
-    Rule("workspace", ("R7",), spatial.workspace, hard=True),
-    Rule("session", ("X1",), spatial.session, hard=True),
-    Rule("geofence", ("G4",), spatial.geofence, hard=True),
-    Rule("standoff", ("X2",), spatial.standoff, hard=True),
-    Rule("terrain_clearance", ("R3", "R4", "G2"), spatial.terrain_clearance, hard=True),
-    Rule("agl", ("R3", "G5"), spatial.agl, hard=True),
-    Rule("obstacle_clearance", ("R3", "R4", "G2"), spatial.obstacle_clearance, hard=True),
-    Rule("separation", ("R5", "R6", "G3"), others.separation, hard=True),
-    Rule("reservation", ("R5", "X10"), others.reservation),
+    PathRule(d.AUTHORITY, confidence.authority),
+    RequestRule(d.INPUT_CONFIDENCE, confidence.input_confidence),
+    PathRule(d.LOCALIZATION, confidence.localization),
+    PathRule(d.TERRAIN_CONFIDENCE, confidence.terrain_confidence),
+    PathRule(d.NEIGHBOUR_AGE, others.neighbour_age),
+    PlanRule(d.ENVELOPE, envelope),
+    PathRule(d.WORKSPACE, spatial.workspace),
+    PathRule(d.SESSION, spatial.session),
+    PathRule(d.GEOFENCE, spatial.geofence),
+    PathRule(d.STANDOFF, spatial.standoff),
+    PathRule(d.TERRAIN_CLEARANCE, spatial.terrain_clearance),
+    PathRule(d.AGL, spatial.agl),
+    PathRule(d.OBSTACLE_CLEARANCE, spatial.obstacle_clearance),
+    PathRule(d.SEPARATION, others.separation),
+    PathRule(d.RESERVATION, others.reservation),
 )
 
 
@@ -74,13 +90,13 @@ def findings(
     """What every rule says. Rules about a plan or a request are left out where there is none (a monitored path)."""
     found = []
     for rule in rules:
-        if rule.subject is Subject.PATH:
-            found.append(rule.check(path, situation, limits))
-        elif rule.subject is Subject.PLAN:
-            if plan is not None:
+        match rule:
+            case PathRule():
+                found.append(rule.check(path, situation, limits))
+            case PlanRule() if plan is not None:
                 found.append(rule.check(plan, situation, limits))
-        elif request is not None:
-            found.append(rule.check(request, limits))
+            case RequestRule() if request is not None:
+                found.append(rule.check(request, limits))
     return tuple(found)
 
 

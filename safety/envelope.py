@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from safety.findings import amount, refused
+from safety.declarations import ENVELOPE
+from safety.findings import amount
 from safety.limits import Limits
 from safety.planner import stopping_m
 from safety.situation import Situation
@@ -20,7 +21,6 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
     The way back to the anchor may be as long as the workspace is wide: it is no step of the operator's. A plan starts at
     rest: what the drone still coasts may not leave the tube about the path, which is what every distance counts with.
     """
-    name, requirements = "envelope", ("R8", "G6")
     goal, direction = plan.goal, plan.direction
     move = goal.minus(plan.start)
     home = plan.primitive is Primitive.RETURN
@@ -45,7 +45,7 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
     for what, value, bound, unit in asked:
         margin = bound - value
         if not math.isfinite(margin):
-            return refused(name, requirements, unit, f"the plan's {what} is not finite")
+            return ENVELOPE.refused(unit, f"the plan's {what} is not finite")
         if abs(margin) <= ROUNDING * bound:
             margin = 0.0
         relative = margin / bound if bound > 0.0 else math.copysign(math.inf, margin) if margin else 0.0
@@ -53,4 +53,4 @@ def envelope(plan: Plan, situation: Situation, limits: Limits) -> Finding:
             worst = (relative, margin, unit, f"{what} {amount(value, unit)}, at most {amount(bound, unit)}")
     assert worst is not None
     _, margin, unit, text = worst
-    return Finding(name, requirements, margin, unit, margin >= 0.0, text)
+    return ENVELOPE.finding(margin, unit, margin >= 0.0, text)

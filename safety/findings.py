@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from safety.declarations import Constraint
 from safety.vocabulary import Finding, Floats, Path
 
 EPSILON = 1e-9
@@ -62,8 +63,7 @@ def mends(path: Path, margins_m: Callable[[Floats], Floats]) -> bool:
 
 
 def judge(
-    constraint: str,
-    requirements: tuple[str, ...],
+    constraint: Constraint,
     margins_m: Margins,
     between_m: Margins | None,
     spare: str,
@@ -86,16 +86,16 @@ def judge(
     lowest = min((_listed(between_m) if between_m is not None else ()) or margins)
     # One sample that is not finite spoils the whole, even if it would be far away.
     if not math.isfinite(lowest + sum(margins)):
-        return Finding(constraint, requirements, None, "m", False, unknown, subject=subject)
+        return constraint.refused("m", unknown, subject)
     if lowest >= -EPSILON:
         lowest = max(lowest, 0.0)
         size = f"at least {SPARE_M:.0f} m" if far and lowest >= SPARE_M else amount(lowest)
-        return Finding(constraint, requirements, lowest, "m", True, f"{spare}: {size} to spare", subject=subject)
+        return constraint.finding(lowest, "m", True, f"{spare}: {size} to spare", subject=subject)
     text, below = lack.format(amount(lowest)), ((of, lowest),)
     if margins[0] < 0.0 and mending():
         text += " already, and this does not make it worse"
-        return Finding(constraint, requirements, lowest, "m", True, text, below, subject)
-    return Finding(constraint, requirements, lowest, "m", False, text, below, subject)
+        return constraint.finding(lowest, "m", True, text, below, subject)
+    return constraint.finding(lowest, "m", False, text, below, subject)
 
 
 def _listed(margins: Margins) -> list[float]:
@@ -112,11 +112,6 @@ def worst(findings: Sequence[Finding]) -> Finding:
         return told
     below = tuple(entry for f in findings for entry in f.below)
     return replace(told, margin=min(f.margin for f in findings if f.margin is not None), below=below)
-
-
-def refused(constraint: str, requirements: tuple[str, ...], unit: str, text: str) -> Finding:
-    """A failure without a number: something is unknown (X6)."""
-    return Finding(constraint, requirements, None, unit, False, text)
 
 
 def once(function: Callable[..., T]) -> Callable[..., T]:

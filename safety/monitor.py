@@ -13,7 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from safety.constraints import RULES, Rule, Subject, nearby
+from safety.constraints import RULES, PathRule, Rule, nearby
+from safety.declarations import ENVELOPE, SEPARATION, Constraint
 from safety.limits import Limits
 from safety.planner import spaced, stopping_m
 from safety.situation import Situation, near_as_before
@@ -30,8 +31,8 @@ A predicted margin may dip by the tube about the path, which was counted against
 """
 RECORDED_M = 20.0
 """How far from the drone the terrain is looked for, for the record."""
-KNOWN = frozenset({"neighbour_age", "localization", "reservation"})
-"""No hard limits of their own, but without them nothing can be predicted, or somebody else relies on the air (R11, X6, X10)."""
+MONITORED = ("R9", "R10")
+"""Why a limit is watched in flight, whichever it is."""
 
 
 Kind = Literal["predicted", "actual"]
@@ -97,7 +98,7 @@ def watch(
     now = [
         rule.check(here, estimate, _bare(limits))
         for rule in hard
-        if rule.name == "separation" or _negative(predicted[rule.name])
+        if rule.constraint is SEPARATION or _negative(predicted[rule.name])
     ]
     found: list[tuple[Kind, Finding]] = [("actual", f) for f in now if f.margin is not None and f.margin < 0.0]
     if plan is not None:
@@ -108,7 +109,7 @@ def watch(
     return Watch(
         tuple(breaches),
         _clearance_m(situation, scene, ahead, here) if plan is not None else None,
-        _distance(now, "separation", limits.separation_m),
+        _distance(now, SEPARATION, limits.separation_m),
         ratcheted(found, baseline),
     )
 
@@ -120,10 +121,11 @@ def ratcheted(found: list[tuple[Kind, Finding]], baseline: Baseline) -> Baseline
 
 
 @lru_cache(maxsize=8)
-def _watched(rules: tuple[Rule, ...]) -> tuple[tuple[Rule, ...], tuple[Rule, ...]]:
+def _watched(rules: tuple[Rule, ...]) -> tuple[tuple[PathRule, ...], tuple[PathRule, ...]]:
     """The rules about a path that are hard, and all that are watched."""
-    on_path = tuple(rule for rule in rules if rule.subject is Subject.PATH)
-    return tuple(r for r in on_path if r.hard), tuple(r for r in on_path if r.hard or r.name in KNOWN)
+    on_path = tuple(rule for rule in rules if isinstance(rule, PathRule))
+    hard = tuple(r for r in on_path if r.constraint.hard)
+    return hard, tuple(r for r in on_path if r.constraint.hard or r.constraint.watched)
 
 
 @lru_cache(maxsize=8)
@@ -177,8 +179,8 @@ def _envelope(plan: Plan, elapsed_s: float, speed_m_s: float, situation: Situati
     return [
         Breach(
             kind if margin < 0.0 else "predicted",
-            "envelope",
-            ("R8", "R9", "R10"),
+            ENVELOPE.name,
+            (*ENVELOPE.requirements, *MONITORED),
             margin,
             unit,
             text,
@@ -196,7 +198,7 @@ def _negative(finding: Finding) -> bool:
 def _breach(kind: Kind, f: Finding, baseline: Baseline, ease: float) -> Breach:
     best = [baseline.get((kind, f.constraint, of), math.inf) for of, _ in f.below]
     mending = bool(f.below) and all(margin >= b - ease for b, (_, margin) in zip(best, f.below, strict=True))
-    return Breach(kind, f.constraint, (*f.requirements, "R9", "R10"), f.margin, f.unit, f.text, mending, f.subject)
+    return Breach(kind, f.constraint, (*f.requirements, *MONITORED), f.margin, f.unit, f.text, mending, f.subject)
 
 
 def _clearance_m(situation: Situation, scene: Situation, ahead: Path, here: Path) -> float | None:
@@ -220,9 +222,9 @@ def _clearance_m(situation: Situation, scene: Situation, ahead: Path, here: Path
     return least_m if math.isfinite(least_m) else None
 
 
-def _distance(findings: list[Finding], constraint: str, required_m: float) -> float | None:
+def _distance(findings: list[Finding], constraint: Constraint, required_m: float) -> float | None:
     """The distance behind a bare finding; None where nothing is there."""
     for f in findings:
-        if f.constraint == constraint and f.margin is not None:
+        if f.constraint == constraint.name and f.margin is not None:
             return f.margin + required_m
     return None

@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from safety.findings import EPSILON, amount, between, gaps_m, judge, once, refused, worst
+from safety.declarations import NEIGHBOUR_AGE, RESERVATION, SEPARATION
+from safety.findings import EPSILON, amount, between, gaps_m, judge, once, worst
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.spatial import NO_ACCURACY, error_m
@@ -27,10 +28,9 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     Required is separation_m and all that either position may be wrong by: accuracies, tracking, how far the vehicle may
     be along its path from where it should be, and the neighbour's possible travel in the age of its state. Source: R5, R6, G3.
     """
-    name, requirements = "separation", ("R5", "R6", "G3")
     neighbours = situation.neighbours
     if not len(neighbours):
-        return Finding(name, requirements, None, "m", True, "no other aircraft")
+        return SEPARATION.finding(None, "m", True, "no other aircraft")
     now, velocities, required = _sky(situation, limits)
     required = required + path.slack_m
     known = np.isfinite(now.sum(axis=0) + velocities.sum(axis=0) + required + path.points_ned_m.sum())
@@ -38,7 +38,7 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
         text = (
             f"separation from {neighbours.names[int(known.argmin())]} cannot be judged: its state or ours is incomplete"
         )
-        return refused(name, requirements, "m", text)
+        return SEPARATION.refused("m", text)
     times = np.append(path.times_s, max(float(path.times_s[-1]), limits.horizon_s))
     own = np.concatenate((path.points_ned_m, path.points_ned_m[-1:])).T
     # (3, n + 1, k): where the drone is as its neighbours see it; straight lines between the times.
@@ -47,9 +47,7 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     k = int(lowest.argmin())
     if lowest[k] >= -EPSILON:
         margin = max(float(lowest[k]), 0.0)
-        return Finding(
-            name,
-            requirements,
+        return SEPARATION.finding(
             margin,
             "m",
             True,
@@ -68,7 +66,7 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     if passed:
         text += " already, and this does not make it worse"
     below = tuple((neighbours.names[i], float(lowest[i])) for i in np.flatnonzero(broken).tolist())
-    return Finding(name, requirements, float(lowest[k]), "m", passed, text, below, neighbours.names[told])
+    return SEPARATION.finding(float(lowest[k]), "m", passed, text, below, neighbours.names[told])
 
 
 def _never_closer(path: Path, now: Floats, velocities: Floats, limits: Limits) -> NDArray[np.bool_]:
@@ -121,34 +119,30 @@ def reservation(path: Path, situation: Situation, limits: Limits) -> Finding:
     what passes here is not denied by the authority for a volume that is known here, so there is no mending either. A hover
     reserves nothing.
     """
-    name, requirements = "reservation", ("R5", "X10")
     start_s = situation.now_s + float(path.times_s[0])
     end_s = situation.now_s + max(float(path.times_s[-1]), limits.horizon_s, path.until_s)
     if not math.isfinite(end_s):
-        return refused(name, requirements, "m", "reserved volumes cannot be judged: the path has no times")
+        return RESERVATION.refused("m", "reserved volumes cannot be judged: the path has no times")
     found = [
-        _one_reservation(name, requirements, f"{volume.holder} ({i})", volume, path, situation, limits)
+        _one_reservation(f"{volume.holder} ({i})", volume, path, situation, limits)
         for i, volume in enumerate(situation.reservations)
         # A window that is no window (NaN) is not passed over.
         if not (volume.until_s < start_s or volume.from_s > end_s)
     ]
-    return worst(found) if found else Finding(name, requirements, None, "m", True, "no reserved volume in the way")
+    return worst(found) if found else RESERVATION.finding(None, "m", True, "no reserved volume in the way")
 
 
 def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
     """Is the feed of neighbours alive, and is nobody who has fallen silent within reach of the path? Source: R11, X6."""
-    name, requirements = "neighbour_age", ("R11", "X6")
     neighbours, limit_s = situation.neighbours, limits.neighbour_age_s
     margin = None
     if neighbours.feed_at_s != math.inf:
         if not math.isfinite(neighbours.feed_at_s):
-            return refused(name, requirements, "s", "nothing was ever heard of other aircraft")
+            return NEIGHBOUR_AGE.refused("s", "nothing was ever heard of other aircraft")
         feed_s = abs(situation.now_s - neighbours.feed_at_s)
         margin = limit_s - feed_s
         if not margin >= 0.0:
-            return Finding(
-                name, requirements, margin, "s", False, f"other aircraft: last heard {amount(feed_s, 's')} ago"
-            )
+            return NEIGHBOUR_AGE.finding(margin, "s", False, f"other aircraft: last heard {amount(feed_s, 's')} ago")
     if len(neighbours):
         ages = np.abs(situation.now_s - neighbours.at_s)
         silent = ~(ages <= limit_s)
@@ -158,12 +152,12 @@ def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
                 k = int(np.flatnonzero(near)[np.argmax(ages[near])])
                 age_s, who = float(ages[k]), neighbours.names[k]
                 if not math.isfinite(age_s):
-                    return refused(name, requirements, "s", f"{who}: the time of its state is unknown")
+                    return NEIGHBOUR_AGE.refused("s", f"{who}: the time of its state is unknown")
                 text = f"{who}: last heard {amount(age_s, 's')} ago, so it could be too close"
-                return Finding(name, requirements, limit_s - age_s, "s", False, text, subject=who)
+                return NEIGHBOUR_AGE.finding(limit_s - age_s, "s", False, text, subject=who)
     if margin is None:
-        return Finding(name, requirements, None, "s", True, "flying without neighbour data, as declared")
-    return Finding(name, requirements, margin, "s", True, f"other aircraft: heard {amount(limit_s - margin, 's')} ago")
+        return NEIGHBOUR_AGE.finding(None, "s", True, "flying without neighbour data, as declared")
+    return NEIGHBOUR_AGE.finding(margin, "s", True, f"other aircraft: heard {amount(limit_s - margin, 's')} ago")
 
 
 def neighbours_that_matter(
@@ -238,8 +232,6 @@ def _could_be_m(points: Floats, neighbours: Neighbours, ages: Floats, situation:
 
 
 def _one_reservation(
-    name: str,
-    requirements: tuple[str, ...],
     of: str,
     volume: ReservedVolume,
     path: Path,
@@ -251,7 +243,7 @@ def _one_reservation(
     margins = _from_capsule(path.points_ned_m, volume) - own_m
     stretches = between(margins, gaps_m(path))
     who = volume.holder.replace("{", "{{").replace("}", "}}")
-    return judge(name, requirements, margins, stretches, f"volume held by {volume.holder}",
+    return judge(RESERVATION, margins, stretches, f"volume held by {volume.holder}",
                  f"{{}} too close to the volume that {who} holds", f"reserved volumes {NO_ACCURACY}", of=of, subject=volume.holder)  # fmt: skip
 
 

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from safety.findings import between, gaps_m, judge, mends, once, refused, worst
+from safety.declarations import (
+    AGL,
+    GEOFENCE,
+    OBSTACLE_CLEARANCE,
+    SESSION,
+    STANDOFF,
+    TERRAIN_CLEARANCE,
+    WORKSPACE,
+    Constraint,
+)
+from safety.findings import between, gaps_m, judge, mends, once, worst
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.vocabulary import Finding, Floats, Ned, Path
@@ -47,17 +57,15 @@ def error_m(sigma_m: float, limits: Limits) -> float:
 
 def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Finding:
     """3D distance of the swept path to the terrain. Source: R3, R4, G2."""
-    name, requirements = "terrain_clearance", ("R3", "R4", "G2")
     terrain = situation.world.terrain
     if terrain is None:
-        return refused(name, requirements, "m", "no terrain model: clearance cannot be judged")
+        return TERRAIN_CLEARANCE.refused("m", "no terrain model: clearance cannot be judged")
     _, clearance = profile(path, terrain)
     sigma_m = situation.vehicle.sigma_m
     required_m = limits.clearance_m + error_m(sigma_m, limits) + limits.sigma_k * checked_sigma_m(terrain.sigma_m)
     margins = clearance - required_m
     found = judge(
-        name,
-        requirements,
+        TERRAIN_CLEARANCE,
         margins,
         between(margins, _gaps(path)),
         "terrain",
@@ -68,7 +76,7 @@ def terrain_clearance(path: Path, situation: Situation, limits: Limits) -> Findi
     )
     # Where the model has no data there may be anything, so it keeps the same distance, and there is no way out of it.
     if found.margin is not None and found.margin < 0.0 and _misses(path, terrain, required_m):
-        return refused(name, requirements, "m", f"no terrain data within {required_m:.1f} m of the path")
+        return TERRAIN_CLEARANCE.refused("m", f"no terrain data within {required_m:.1f} m of the path")
     return found
 
 
@@ -79,16 +87,15 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
     counts: within the 3D clearance nothing is in the way of an error sideways and the height to be kept below it, and the
     true height is at least the height less the error times the slope.
     """
-    name, requirements = "agl", ("R3", "G5")
     terrain = situation.world.terrain
     if terrain is None:
-        return refused(name, requirements, "m", "no terrain model: height above ground cannot be judged")
+        return AGL.refused("m", "no terrain model: height above ground cannot be judged")
     height, clearance = profile(path, terrain)
     vehicle, k = situation.vehicle, limits.sigma_k
     gaps = _gaps(path)
     level_m = error_m(vehicle.sigma_h_m, limits)
     if not terrain.is_complete and _misses(path, terrain, level_m):
-        return refused(name, requirements, "m", "no terrain data under the path")
+        return AGL.refused("m", "no terrain data under the path")
     terrain_m = k * checked_sigma_m(terrain.sigma_m)
     stretch = math.hypot(1.0, terrain.slope)
     tilted_m = limits.tracking_m * stretch + k * (
@@ -112,7 +119,7 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
         return np.asarray((heights - below_m[:, None]).T - needed_m)
 
     return judge(
-        name, requirements,
+        AGL,
         np.maximum(by_clearance, by_height),
         np.maximum(between(by_clearance, gaps), between(by_height, gaps * stretch)),
         "height above ground", "{} too low above the ground",
@@ -123,16 +130,15 @@ def agl(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Finding:
     """3D distance of the swept path to every obstacle. Source: R3, R4, G2."""
-    name, requirements = "obstacle_clearance", ("R3", "R4", "G2")
     obstacles = situation.world.obstacles
     required_m = limits.obstacle_clearance_m + error_m(situation.vehicle.sigma_m, limits)
     if not obstacles.declared:
-        return Finding(name, requirements, None, "m", True, "no obstacles are declared")
+        return OBSTACLE_CLEARANCE.finding(None, "m", True, "no obstacles are declared")
     unknown = f"obstacle clearance {NO_ACCURACY}"
     gaps = _gaps(path)
     if not len(obstacles):
         margins = obstacles.vouched_m(path.points_ned_m) - required_m
-        return judge(name, requirements, margins, between(margins, gaps), "nearest obstacle",
+        return judge(OBSTACLE_CLEARANCE, margins, between(margins, gaps), "nearest obstacle",
                      "{} too close to an obstacle", unknown, far=True)  # fmt: skip
     all_margins = obstacles.distance_m(path.points_ned_m) - required_m
     all_between = between(all_margins, gaps)
@@ -142,8 +148,7 @@ def obstacle_clearance(path: Path, situation: Situation, limits: Limits) -> Find
     return worst(
         [
             judge(
-                name,
-                requirements,
+                OBSTACLE_CLEARANCE,
                 all_margins[:, i],
                 all_between[:, i],
                 obstacles.names[i],
@@ -167,35 +172,34 @@ def _apart_m(obstacles: Obstacles, i: int, required_m: float, points: Floats) ->
 def workspace(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the anchor. Source: R7, paper III-D. Relative, so only drift since the anchor counts (design 2)."""
     radius_m = limits.workspace_m - _drift_m(situation, situation.anchor.at_s, limits)
-    return _ball("workspace", ("R7",), path, situation.anchor.position, radius_m, "workspace",
+    return _ball(WORKSPACE, path, situation.anchor.position, radius_m, "workspace",
                  "{} outside the workspace about the anchor")  # fmt: skip
 
 
 def session(path: Path, situation: Situation, limits: Limits) -> Finding:
     """The ball about the place of pairing, which no sum of moves leaves. Source: X1, design 2."""
     radius_m = limits.session_m - _drift_m(situation, situation.paired_at_s, limits)
-    return _ball("session", ("X1",), path, situation.session_centre, radius_m, "session area",
+    return _ball(SESSION, path, situation.session_centre, radius_m, "session area",
                  "{} too far from where pairing happened")  # fmt: skip
 
 
 def geofence(path: Path, situation: Situation, limits: Limits) -> Finding:
     """Inside the fence, outside its no-fly areas, between floor and ceiling, all along. Source: G4."""
-    name, requirements = "geofence", ("G4",)
     fence = situation.world.geofence
     if fence is None:
-        return Finding(name, requirements, None, "m", True, "no geofence is declared")
+        return GEOFENCE.finding(None, "m", True, "no geofence is declared")
     level_error_m = error_m(situation.vehicle.sigma_h_m, limits)
     upright_error_m = error_m(situation.vehicle.sigma_v_m, limits)
     level = fence.level_m(path.points_ned_m) - level_error_m
     upright = fence.upright_m(path.points_ned_m) - upright_error_m
     unknown = f"geofence {NO_ACCURACY}"
-    side = judge(name, requirements, level, between(level, _gaps(path)), "geofence",
+    side = judge(GEOFENCE, level, between(level, _gaps(path)), "geofence",
                  "{} too close to the geofence or beyond it", unknown, far=True, of="sides",
                  mending=lambda: mends(path, lambda points: fence.level_m(points) - level_error_m))  # fmt: skip
     if fence.is_open_above_and_below:
         return side
     # Floor and ceiling are planes, so heights between two samples lie between theirs.
-    return worst([side, judge(name, requirements, upright, None, "geofence floor and ceiling",
+    return worst([side, judge(GEOFENCE, upright, None, "geofence floor and ceiling",
                               "{} beyond the geofence's floor or ceiling", unknown, of="floor and ceiling",
                               mending=lambda: mends(path, lambda points: fence.upright_m(points) - upright_error_m))])  # fmt: skip
 
@@ -211,7 +215,7 @@ def standoff(path: Path, situation: Situation, limits: Limits) -> Finding:
     def along(points: Floats) -> Floats:
         return np.asarray(np.hypot(points[:, 0] - north, points[:, 1] - east) - required_m)
 
-    return judge("standoff", ("X2",), margins, between(margins, _gaps(path)), "distance to you", "{} too close to you",
+    return judge(STANDOFF, margins, between(margins, _gaps(path)), "distance to you", "{} too close to you",
                  "distance to you cannot be judged: your position, the drone's or their accuracy is unknown",
                  mending=lambda: mends(path, along))  # fmt: skip
 
@@ -250,16 +254,14 @@ def _points(path: Path) -> list[list[float]]:
     return path.points_ned_m.tolist()  # type: ignore[no-any-return]
 
 
-def _ball(
-    name: str, requirements: tuple[str, ...], path: Path, centre: Ned, radius_m: float, what: str, lack: str
-) -> Finding:
+def _ball(constraint: Constraint, path: Path, centre: Ned, radius_m: float, what: str, lack: str) -> Finding:
     """Inside a ball about a place all along. A ball is convex: what holds at two points holds between them."""
     margins = [radius_m - math.dist(point, centre) for point in _points(path)]
 
     def along(points: Floats) -> Floats:
         return np.asarray(radius_m - np.sqrt(((points - np.array(centre)) ** 2).sum(axis=1)))
 
-    return judge(name, requirements, margins, None, what, lack, f"{what} {NO_ACCURACY}",
+    return judge(constraint, margins, None, what, lack, f"{what} {NO_ACCURACY}",
                  mending=lambda: mends(path, along))  # fmt: skip
 
 

@@ -10,7 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from safety.constraints import RULES, Rule, Subject, findings, nearby
+from safety.constraints import RULES, PathRule, Rule, findings, nearby
+from safety.declarations import LOCALIZATION, NEIGHBOUR_AGE
 from safety.length_search import Tried, longest_passing
 from safety.limits import Limits
 from safety.planner import full_length_m, length_reaching_m, plan_return, plan_scan, plan_translation, stopping_m, swept
@@ -28,8 +29,6 @@ from safety.vocabulary import (
 )
 
 FULL_TURN_DEG = 360.0
-PASSING = frozenset({"separation", "reservation", "neighbour_age"})
-"""Constraints that may clear by themselves: somebody flies on, a lease ends, a state gets fresh."""
 DELAY_STEP_S = 0.5
 BEFORE_LEASE_S = 0.05
 SLOWER = (2.0, 4.0)
@@ -101,7 +100,7 @@ def decide(
     try:
         plan = propose(intent, situation, limits)
     except ValueError as error:
-        finding = Finding("localization", ("R11", "X6"), None, "", passed=False, text=str(error))
+        finding = LOCALIZATION.unmet(str(error))
         return Decision(request.id, intent.primitive, Verdict.REJECTED, _metres(intent), None, (finding,))
     return decide_plan(
         request.id, plan, request, situation, limits, intent, may_delay=may_delay, offer=offer, rules=rules
@@ -180,14 +179,14 @@ def shorten(
     if plan.primitive.is_scan or plan.length_m <= limits.shortest_m:
         return None
     failed = [f for f in found if not f.passed]
-    by_name = {rule.name: rule for rule in rules if rule.subject is Subject.PATH}
+    by_name = {rule.name: rule for rule in rules if isinstance(rule, PathRule)}
     until_s = cut.path.times_s[-1]
     slowest_m_s = Profile(limits.shortest_m, plan.move.speed, plan.move.acceleration).peak
     while {f.constraint for f in failed} <= by_name.keys():
         searched = [by_name[f.constraint] for f in failed]
         tried: dict[float, Attempt] = {}
 
-        def attempt(reach_m: float, searched: list[Rule] = searched, tried: dict[float, Attempt] = tried) -> Tried:
+        def attempt(reach_m: float, searched: list[PathRule] = searched, tried: dict[float, Attempt] = tried) -> Tried:
             length_m = max(length_reaching_m(reach_m, plan.move.speed, limits), limits.shortest_m)
             shorter = over_in_time(propose(replace(intent, amount=length_m), situation, limits), situation, limits)
             path = swept(shorter, limits)
@@ -227,12 +226,12 @@ def clears_within(
     path: Path, found: tuple[Finding, ...], situation: Situation, limits: Limits, rules: tuple[Rule, ...]
 ) -> bool:
     """Whether the one failing constraint is about to clear by itself. Source: design 7 (delayed)."""
-    failing = [f.constraint for f in found if not f.passed]
-    if len(failing) != 1 or failing[0] not in PASSING:
+    failing = {f.constraint for f in found if not f.passed}
+    (rule,) = [rule for rule in rules if rule.name in failing] if len(failing) == 1 else [None]
+    if not isinstance(rule, PathRule) or not rule.constraint.clears:
         return False
-    if failing[0] == "neighbour_age":
+    if rule.constraint is NEIGHBOUR_AGE:
         return situation.now_s - situation.neighbours.feed_at_s <= limits.neighbour_age_s + limits.delay_s
-    rule = next(rule for rule in rules if rule.name == failing[0])
     steps = int(limits.delay_s / DELAY_STEP_S)
     # Seen from later on, the same states have aged by nothing but the waiting: what is fresh now stays fresh.
     return any(rule.check(path, later(situation, (i + 1) * DELAY_STEP_S), limits).passed for i in range(steps))

@@ -29,6 +29,7 @@ from m3r_app.output import (
     ViolationEvent,
 )
 from modalities.voice.phrases import PhraseTable, normalise
+from safety.declarations import CONTRADICTION, DECLARED, INPUT_CONFIDENCE, PAIRED
 from safety.vocabulary import Cause, Command, Modality, Verdict
 
 COMMAND_WORDS = frozenset(PhraseTable(("x",)).words) - {"x"}
@@ -63,28 +64,7 @@ _WORD: dict[Command, tuple[str, str]] = {
 }
 """What is flown and what is not, for each command; "turn left" would be a request."""
 
-_LIES = {"terrain_clearance": "ground", "obstacle_clearance": "{something}", "geofence": "border"}
-"""What shortened a move lies in its direction; the name of an obstacle or of a drone takes the place of what is in braces."""
 _BEYOND = {Command.GO_UP: "above", Command.GO_DOWN: "below"}
-_REASON: dict[str, tuple[str, str]] = {
-    "terrain_clearance": ("ground too near", "ground unknown"),
-    "agl": ("too low", "ground unknown"),
-    "obstacle_clearance": ("{something} too near", "surroundings unknown"),
-    "separation": ("{others} too near", "others unknown"),
-    "reservation": ("held by others", "not free"),
-    "workspace": ("edge of the workspace", "position unknown"),
-    "session": ("too far away", "position unknown"),
-    "geofence": ("border too near", "position unknown"),
-    "envelope": ("over its limits", "limits unknown"),
-    "standoff": ("too near you", "your position unknown"),
-    "input_confidence": ("not sure what you asked", "ask again"),
-    "localization": ("position uncertain", "position unknown"),
-    "terrain_confidence": ("ground uncertain", "ground unknown"),
-    "neighbour_age": ("{others} silent", "others silent"),
-    "authority": ("not yours", "not yours"),
-    "paired": ("not paired", "not paired"),
-}
-"""Two or three words for each constraint: where it is broken by a number, and where nothing is known."""
 _UNSURE = {Modality.VOICE: "not sure what you said", Modality.GESTURE: "not sure what you showed"}
 _CONTRADICTED = {"X5": "holding, two different requests", "X12": "nothing to go on with"}
 """By requirement; what STOP or a newer request withdrew has been answered by their own cue."""
@@ -171,17 +151,17 @@ class Cues:
             flown = ["dry run"] * self._dry_run + [yes, *metres(event.granted_m)]
             return self._named(", ".join([*flown, *_why(failing, modality, beyond)]))
         constraints = {finding.constraint for finding in failing}
-        if "contradiction" in constraints:
+        if CONTRADICTION.name in constraints:
             known = [_CONTRADICTED[r] for f in failing for r in f.requirements if r in _CONTRADICTED]
             return self._named(known[0], urgent=True) if known else None
-        if "paired" in constraints:
+        if PAIRED.name in constraints:
             return Cue("No drone is paired", urgent=True)
         why = ", ".join(_why(failing, modality))
         if event.verdict is Verdict.DELAYED:
             return self._named(f"{yes} in a moment, {why}")
         if event.verdict is Verdict.REPLACED:
             return self._named(f"{no}, {why}, slower is offered")
-        unsure = "input_confidence" in constraints
+        unsure = INPUT_CONFIDENCE.name in constraints
         return self._named(why if unsure else ", ".join(part for part in (no, why) if part), urgent=True)
 
     def _motion(self, event: MotionEvent) -> Cue | None:
@@ -279,19 +259,18 @@ def _why(failing: tuple[FindingTold, ...], modality: Modality | None, beyond: st
 
 
 def _reason(found: FindingTold | ViolationEvent, modality: Modality | None, beyond: str = "") -> str:
-    broken, unknown = _REASON.get(found.constraint, ("not safe", "not safe"))
+    constraint = DECLARED[found.constraint]
+    words = constraint.spoken
     if found.margin is None:
-        return unknown
-    if found.constraint == "input_confidence" and modality is not None:
-        return _UNSURE.get(modality, broken)
-    if beyond and found.constraint in _LIES:
-        broken = f"{_LIES[found.constraint]} {beyond}"
+        return words.unknown
+    if constraint is INPUT_CONFIDENCE and modality is not None:
+        return _UNSURE.get(modality, words.broken)
+    said = f"{words.ahead} {beyond}" if beyond and words.ahead else words.broken
     name = _speakable(found.subject)
     for general in _GENERAL:
-        if f"{{{general}}}" in broken:
-            aircraft = found.constraint in ("separation", "neighbour_age")
-            broken = broken.replace(f"{{{general}}}", (name.capitalize() if aircraft else name) or general)
-    return broken
+        aircraft = general == "others"
+        said = said.replace(f"{{{general}}}", (name.capitalize() if aircraft else name) or general)
+    return said
 
 
 _GENERAL = ("something", "others")

@@ -14,6 +14,7 @@ from m3r_app.arbiter.effects import Release, Reserve
 from m3r_app.arbiter.events import ReservationAnswered
 from m3r_app.arbiter.state import Deciding, Leftover, Tally
 from m3r_app.output import Notice
+from safety.declarations import CONTRADICTION, ENVELOPE, INPUT_CONFIDENCE, LOCALIZATION, RESERVATION
 from safety.limits import Limits
 from safety.situation import Situation
 from safety.supervisor import Intent, assess, decide, interpret, safe
@@ -34,17 +35,12 @@ from safety.volumes import swept_volume
 BACK = Intent(Primitive.RETURN, 0.0)
 
 
-def unmet(constraint: str, requirements: tuple[str, ...], text: str) -> Finding:
-    """A refusal that is a fact, not a distance."""
-    return Finding(constraint, requirements, None, "", passed=False, text=text)
-
-
 def is_of_now(request: ManeuverRequest, now_s: float, limits: Limits) -> bool:
     """Whether it was asked a moment ago, at a time that can be. Source: X6."""
     return -limits.request_ahead_s <= now_s - request.captured_at_s <= limits.request_age_s
 
 
-UNHEARD = unmet("localization", ("R11", "X6"), "nothing has been heard from the drone")
+UNHEARD = LOCALIZATION.unmet("nothing has been heard from the drone")
 
 # ---------------------------------------------------------------- judged
 
@@ -71,9 +67,9 @@ def intended(run: Step, request: ManeuverRequest) -> Intent | Finding:
         return BACK
     left, within_s = s.leftover, s.limits.continue_within_s
     if left is None:
-        return unmet("contradiction", ("X12",), "there is nothing that stop left to continue")
+        return CONTRADICTION.unmet("there is nothing that stop left to continue", "X12")
     if run.now_s - left.at_s > within_s:
-        return unmet("contradiction", ("X12",), f"stop was more than {within_s:.0f} s ago")
+        return CONTRADICTION.unmet(f"stop was more than {within_s:.0f} s ago", "X12")
     return Intent(left.primitive, left.left, left.slowness)
 
 
@@ -86,7 +82,7 @@ def consider(run: Step, request: ManeuverRequest, intent: Intent, *, may_delay: 
         return
     offer = s.policy.replace == "offer"
     decision = decide(request, intent, situation, s.limits, may_delay=may_delay, offer=offer, rules=s.rules)
-    unsure = any(f.constraint == "input_confidence" for f in decision.failing)
+    unsure = any(f.constraint == INPUT_CONFIDENCE.name for f in decision.failing)
     if s.state is State.DETECTED:
         run.go(Cause.CONFIDENCE_LOW if unsure else Cause.CONFIDENCE_OK)
     if unsure or decision.verdict in (Verdict.REJECTED, Verdict.REPLACED):
@@ -181,7 +177,7 @@ def revalidate(run: Step, deciding: Deciding, plan: Plan, situation: Situation) 
     if off_m <= limits.tracking_m:
         return findings
     away = f"the drone is {off_m:.2f} m from where the plan starts"
-    return (*findings, Finding("envelope", ("R8", "X10"), limits.tracking_m - off_m, "m", passed=False, text=away))
+    return (*findings, ENVELOPE.finding(limits.tracking_m - off_m, "m", passed=False, text=away))
 
 
 def overdue(run: Step) -> None:
@@ -198,7 +194,7 @@ def overdue(run: Step) -> None:
 
 def deny(run: Step, deciding: Deciding, reason: str) -> None:
     """The authority says no, or nothing."""
-    denied = unmet("reservation", ("R5", "X10"), f"the airspace is not ours: {reason}")
+    denied = RESERVATION.unmet(f"the airspace is not ours: {reason}")
     others = tuple(f for f in deciding.decision.findings if f.constraint != denied.constraint)
     turn_down(run, deciding, (*others, denied), Cause.VOLUME_DENIED)
 
@@ -231,9 +227,9 @@ def withdraw(run: Step, why: str, requirement: str) -> None:
     if deciding is not None:
         give_back(run, deciding)
         if deciding.request is not None:
-            refuse(run, deciding.request, unmet("contradiction", (requirement,), why))
+            refuse(run, deciding.request, CONTRADICTION.unmet(why, requirement))
     if pending is not None:
-        refuse(run, pending, unmet("contradiction", (requirement,), why))
+        refuse(run, pending, CONTRADICTION.unmet(why, requirement))
 
 
 def give_back(run: Step, deciding: Deciding) -> None:

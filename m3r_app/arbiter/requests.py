@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from m3r_app.arbiter import decisions, execution, reports, sessions
 from m3r_app.arbiter.context import Step
-from m3r_app.arbiter.decisions import is_of_now, refuse, unmet
+from m3r_app.arbiter.decisions import is_of_now, refuse
 from m3r_app.arbiter.effects import Hold
 from m3r_app.arbiter.events import Requested
 from m3r_app.arbiter.fusion import Relation, fused, relate
@@ -18,6 +18,7 @@ from m3r_app.arbiter.state import Tally
 from m3r_app.arbiter.wording import asked
 from m3r_app.output import MotionStatus, Notice
 from safety.confidence import input_confidence
+from safety.declarations import CONTRADICTION, ENVELOPE, INPUT_CONFIDENCE, PAIRED
 from safety.vocabulary import Cause, Command, Finding, ManeuverRequest, State
 
 STOPPED = "the operator said stop"
@@ -51,7 +52,7 @@ def requested(run: Step, event: Requested) -> None:
         case Command.ACTIVATE | Command.DISCONNECT:
             pair_or_part(run, request)
         case _ if run.state.session is None or run.state.session.anchor is None:
-            refuse(run, request, unmet("paired", ("P1", "R1"), "no drone is paired"))
+            refuse(run, request, PAIRED.unmet("no drone is paired"))
         case _ if late is not None:
             refuse(run, request, late)
         case _ if relation is Relation.CONFIRMS and other is not None and not other.refused:
@@ -67,9 +68,9 @@ def too_late(run: Step, request: ManeuverRequest) -> Finding | None:
     if not is_of_now(request, run.now_s, run.state.limits):
         age_s = run.now_s - request.captured_at_s
         old = f"{age_s:.0f} s ago" if math.isfinite(age_s) and age_s > 0.0 else "at a time that cannot be"
-        return unmet("input_confidence", ("R11", "X6"), f"it was asked {old}; ask again")
+        return INPUT_CONFIDENCE.unmet(f"it was asked {old}; ask again", "X6")
     if request.captured_at_s < run.state.stopped_at_s:
-        return unmet("contradiction", ("X4",), "it was asked before stop")
+        return CONTRADICTION.unmet("it was asked before stop", "X4")
     return None
 
 
@@ -122,7 +123,7 @@ def contradict(run: Step, request: ManeuverRequest, first: ManeuverRequest) -> N
     execution.end(run, MotionStatus.ABORTED)
     if run.can(Cause.CONTRADICTED):
         run.go(Cause.CONTRADICTED)
-    refuse(run, request, unmet("contradiction", ("X5",), why))
+    refuse(run, request, CONTRADICTION.unmet(why, "X5"))
 
 
 def maneuver(run: Step, request: ManeuverRequest) -> None:
@@ -163,4 +164,4 @@ def overdue(run: Step) -> None:
     pending, since_s, timeout_s = run.state.pending, run.state.settling_since_s, run.state.limits.settling_timeout_s
     if pending is not None and since_s is not None and run.now_s - since_s > timeout_s:
         run.state = replace(run.state, pending=None)
-        refuse(run, pending, unmet("envelope", ("R8",), f"it has not come to rest for {timeout_s:.0f} s"))
+        refuse(run, pending, ENVELOPE.unmet(f"it has not come to rest for {timeout_s:.0f} s"))

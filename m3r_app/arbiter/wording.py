@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from safety.declarations import DECLARED, LOCALIZATION
 from safety.monitor import Breach
 from safety.vocabulary import Decision, Finding, ManeuverRequest, Primitive, Verdict
 
@@ -28,24 +29,6 @@ def asked(request: ManeuverRequest) -> str:
     return request.command.value.replace("go_", "").replace("_", " ")
 
 
-DERIVED = frozenset(
-    {
-        "terrain_clearance",
-        "agl",
-        "obstacle_clearance",
-        "separation",
-        "reservation",
-        "workspace",
-        "session",
-        "geofence",
-        "standoff",
-        "terrain_confidence",
-        "envelope",
-    }
-)
-"""What is computed from the drone's position: where that is not known, these say nothing of their own."""
-
-
 def reasons(findings: tuple[Finding, ...]) -> str:
     """The sentences of all failing findings, joined: one cause, one sentence."""
     return _causes([(f.constraint, f.text) for f in findings if not f.passed])
@@ -57,8 +40,8 @@ def told(breaches: Sequence[Breach]) -> str:
 
 
 def _causes(failing: list[tuple[str, str]]) -> str:
-    unlocated = any(constraint == "localization" for constraint, _ in failing)
-    return "; ".join(dict.fromkeys(text for name, text in failing if not (unlocated and name in DERIVED)))
+    unlocated = any(constraint == LOCALIZATION.name for constraint, _ in failing)
+    return "; ".join(dict.fromkeys(text for name, text in failing if not (unlocated and DECLARED[name].located)))
 
 
 def decided(colour: str, what: str, decision: Decision) -> str:

@@ -13,7 +13,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safety.constraints import RULES, Subject, findings, nearby
+from safety.constraints import RULES, PathRule, findings, nearby
 from safety.findings import SPARE_M, amount, once
 from safety.geofence import Geofence
 from safety.obstacles import Obstacles
@@ -44,7 +44,7 @@ def judged(path: Path, scene: Situation) -> dict[str, object]:
 def test_the_registry_is_the_contracts_list() -> None:
     assert {rule.name for rule in RULES} == NAMES
     assert len(RULES) == len(NAMES)
-    assert {rule.name for rule in RULES if rule.hard} == HARD
+    assert {rule.name for rule in RULES if rule.constraint.hard} == HARD
 
 
 def test_every_finding_names_its_rule_and_requirements_that_exist() -> None:
@@ -63,7 +63,7 @@ def test_every_finding_names_its_rule_and_requirements_that_exist() -> None:
         assert len(found) == len(RULES)
         for rule, finding in zip(RULES, found, strict=True):
             assert finding.constraint == rule.name
-            assert finding.requirements == rule.requirements
+            assert finding.requirements == rule.constraint.requirements
             assert finding.text
             assert not finding.text.endswith(".")
             json.dumps(finding.margin, allow_nan=False)
@@ -83,7 +83,7 @@ def test_every_finding_names_its_rule_and_requirements_that_exist() -> None:
 
 def test_rules_about_a_plan_or_a_request_are_left_out_without_one() -> None:
     found = findings(hover(), situation(), LIMITS)
-    assert {f.constraint for f in found} == {r.name for r in RULES if r.subject is Subject.PATH}
+    assert {f.constraint for f in found} == {r.name for r in RULES if isinstance(r, PathRule)}
     assert {f.constraint for f in findings(hover(), situation(), LIMITS, request=REQUEST)} == NAMES - {"envelope"}
 
 

@@ -176,7 +176,7 @@ def test_where_nothing_is_predicted_nothing_is_broken(seed: int, speed_m_s: floa
         LIMITS, sigma_k=0.0, tracking_m=0.0, horizon_s=0.0, neighbour_acceleration_m_s2=0.0, neighbour_turn=0.0
     )
     here = Path(np.array([about.vehicle.position]), np.zeros(1))
-    hard = {rule.name for rule in RULES if rule.hard}
+    hard = {rule.name for rule in RULES if rule.constraint.hard}
     broken = {
         f.constraint for f in findings(here, about, bare)
         if f.constraint in hard and f.margin is not None and f.margin < 0.0

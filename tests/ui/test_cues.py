@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from m3r_app.output import Notice, Told
 from modalities.voice.phrases import STOP_WORD, PhraseTable, normalise
+from safety.declarations import DECLARED
 from safety.separation import neighbour_age, separation
 from safety.situation import Situation
 from safety.spatial import geofence, obstacle_clearance
@@ -18,7 +19,7 @@ from safety.vocabulary import Finding, Ned
 from tests.safety.scene import EXACT, NOW_S, START, situation, sky, square_fence, straight, wall, world
 from tests.told import told
 from tests.ui.all_cues import CONSTRAINTS, all_cues, decision, finding, pair, paired, request
-from ui.cues import _REASON, AGAIN_S, Cue, Cues, metres, number
+from ui.cues import AGAIN_S, Cue, Cues, metres, number
 
 ROOT = Path(__file__).resolve().parents[2]
 COLOURS = ("red", "green", "blue")
@@ -203,7 +204,8 @@ def test_names_come_from_the_rules(found: dict[str, Any], why: str) -> None:
 
 
 def test_every_constraint_has_its_words() -> None:
-    assert set(_REASON) | {"contradiction"} == set(CONSTRAINTS)
+    assert set(DECLARED) == set(CONSTRAINTS)
+    assert all(each.spoken.broken and each.spoken.unknown for each in DECLARED.values())
 
 
 def is_no_request(text: str, table: PhraseTable) -> bool:
