@@ -11,7 +11,7 @@ one per piece of the path, and a coarse reject of those too far away), shapely w
 planner, the same cheap scalar rules, and the same bisection on what failed. It gives no margin along the path, so it
 cannot tell a limit that the move mends from one that it breaks.
 
-    python benchmarks/decision_cost.py [--decisions N]
+    python benchmarks/decision_cost.py [--decisions N] [--plot docs/decision-cost.svg]
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path as File
 
 import numpy as np
 import shapely
@@ -271,9 +272,48 @@ def percentiles(times: tuple[np.ndarray, np.ndarray]) -> tuple[float, float, str
     return float(p50), float(p99), f"{p50:7.2f} ({busy50:5.2f}) {p99:7.2f} ({busy99:5.2f})"
 
 
+COUNTS = (1, 10, 100, 1000)
+
+
+def plot(costs: dict[str, list[float]]) -> str:
+    """How the median cost (ms) grows with the number of neighbours, both axes logarithmic, as an SVG."""
+    left, top, width, height = 60, 20, 420, 260
+    low, high = 0.1, 100.0
+
+    def place(count: int, cost_ms: float) -> tuple[float, float]:
+        along = math.log10(count) / math.log10(COUNTS[-1])
+        up = math.log(cost_ms / low) / math.log(high / low)
+        return left + width * along, top + height * (1.0 - up)
+
+    parts = [
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + width + 230} {top + height + 50}" '
+            'font-family="sans-serif" font-size="13">'
+        ),
+        '<rect width="100%" height="100%" fill="white"/>',
+    ]
+    for cost_ms in (0.1, 1.0, 10.0, 100.0):
+        _, y = place(1, cost_ms)
+        parts.append(f'<path d="M{left} {y:.1f}H{left + width}" stroke="#ccc"/>')
+        parts.append(f'<text x="{left - 8}" y="{y + 4:.1f}" text-anchor="end">{cost_ms:g}</text>')
+    for count in COUNTS:
+        x, y = place(count, low)
+        parts.append(f'<text x="{x:.1f}" y="{y + 18:.1f}" text-anchor="middle">{count}</text>')
+    parts.append(f'<text x="{left + width / 2}" y="{top + height + 40}" text-anchor="middle">neighbours</text>')
+    parts.append(f'<text x="{left}" y="{top - 6}">median of one decision, ms</text>')
+    for (name, found), ink in zip(costs.items(), ("#0072b2", "#d55e00", "#56b4e9", "#e69f00"), strict=False):
+        points = [place(count, cost_ms) for count, cost_ms in zip(COUNTS, found, strict=True)]
+        line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{ink}" stroke-width="2"/>')
+        x, y = points[-1]
+        parts.append(f'<text x="{x + 8:.1f}" y="{y + 4:.1f}" fill="{ink}">{name}</text>')
+    return "\n".join([*parts, "</svg>", ""])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--decisions", type=int, default=1000)
+    parser.add_argument("--plot", type=File, help="write a plot of how the cost grows, as SVG")
     arguments = parser.parse_args()
     intent = interpret(REQUEST, LIMITS)
 
@@ -287,20 +327,23 @@ def main() -> None:
         rival = None
         print("python-fcl is not installed, so there is no comparison: pip install python-fcl")
     rng = np.random.default_rng(11)
+    costs: dict[str, list[float]] = {}
     print("one decision, ms (in brackets: of the processor's time)")
     print(f"{'':27s} ours p50             p99  | shapely + python-fcl p50             p99  | ratio of p50s, of p99s")
-    for count in (1, 10, 100, 1000):
+    for count in COUNTS:
         for verdict, back_m in ((Verdict.REDUCED, 0.0), (Verdict.APPROVED, 3.0)):
             situations = [scene.situation(rng, count, back_m) for _ in range(arguments.decisions)]
             for here in situations:
                 became = decide(REQUEST, intent, here, LIMITS).verdict
                 assert became is verdict, f"a decision was {became}, not {verdict}"
             p50, p99, text = percentiles(timed(ours, situations))
+            costs.setdefault(f"ours, {verdict}", []).append(p50)
             line = f"{count:5d} neighbours, {verdict:8s} {text}"
             if rival is not None:
                 # The dear one gets fewer samples at a thousand neighbours, or it would take minutes.
                 some = situations if count < 1000 else situations[: max(50, len(situations) // 5)]
                 r50, r99, text = percentiles(timed(rival.decide, some))
+                costs.setdefault(f"shapely + python-fcl, {verdict}", []).append(r50)
                 line += f"  |        {text}  | {p50 / r50:8.2f} {p99 / r99:8.2f}"
                 differ = [
                     (a, b) for a, b in ((ours(here), rival.decide(here)) for here in situations[:50])
@@ -309,6 +352,8 @@ def main() -> None:
                 if differ:
                     line += f"  ({len(differ)} of 50 differ by more than 0.1 m: {differ[0]})"
             print(line, flush=True)
+    if arguments.plot is not None:
+        arguments.plot.write_text(plot(costs), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand
 from safety.constraints import RULES, PathRule, Rule, findings, nearby
 from safety.frames import LocalFrame
-from safety.situation import near_as_before
 from safety.vocabulary import Finding, Ned, Path
 
 WATCHED = {
@@ -163,7 +162,7 @@ def margins(state: ArbiterState, drone: Craft | None, now_s: float) -> tuple[Mar
     found: tuple[Margin, ...] = ()
     if situation is not None:
         here = Path(np.array([situation.vehicle.position]), np.zeros(1))
-        scene = nearby(situation, here, limits, near_as_before)
+        scene = nearby(situation, here, limits)
         judged = findings(here, scene, limits, rules=HOVER_RULES)
         found = tuple(_of_finding(f) for f in judged)
     return (*found, _battery(drone.battery, limits.battery_min), _link(drone.link_age_s, limits.telemetry_age_s))

@@ -18,7 +18,7 @@ from safety.declarations import Constraint
 from safety.envelope import envelope
 from safety.findings import SPARE_M
 from safety.limits import Limits
-from safety.situation import Situation, World
+from safety.situation import Situation, near_as_before
 from safety.vocabulary import Finding, ManeuverRequest, Ned, Path, Plan
 
 
@@ -104,13 +104,11 @@ def nearby(
     situation: Situation,
     path: Path,
     limits: Limits,
-    cut: Callable[[World, Ned, float, Ned], World] = World.near,
 ) -> Situation:
     """The situation without what cannot fail a rule on this path or a part of it; for many cheap decisions.
 
     Margins are the same, but those to what stands still are cut off at SPARE_M or more beyond what is required. It holds for
-    paths that start where this one does, stay in the box about it, end no later and have no more slack. cut: how to cut
-    the world down to a reach about a box.
+    paths that start where this one does, stay in the box about it, end no later and have no more slack.
     """
     vehicle, world = situation.vehicle, situation.world
     terrain = world.terrain
@@ -129,7 +127,7 @@ def nearby(
         return situation
     return replace(
         situation,
-        world=cut(world, centre, reach_m, half),
+        world=near_as_before(world, centre, reach_m, half),
         neighbours=others.neighbours_that_matter(
             situation, path.points_ned_m[0], travel_m, path.slack_m, until_s, limits
         ),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from operator import is_
 from typing import TypeVar
 
 import numpy as np
@@ -123,13 +124,8 @@ def once(function: Callable[..., T]) -> Callable[..., T]:
 
     def asked(*about: object) -> T:
         nonlocal last
-        known = last
-        if (
-            known is not None
-            and len(known[0]) == len(about)
-            and all(a is b for a, b in zip(known[0], about, strict=True))
-        ):
-            return known[1]
+        if last is not None and all(map(is_, last[0], about)):
+            return last[1]
         answer = function(*about)
         last = (about, answer)
         return answer

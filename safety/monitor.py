@@ -88,7 +88,7 @@ def watch(
     be judged is a predicted breach.
     """
     ahead = stopping_path(situation, limits)
-    scene = nearby(situation, ahead, limits, near_as_before)
+    scene = nearby(situation, ahead, limits)
     hard, watched = _watched(rules)
     vehicle = situation.vehicle
     here = Path(np.array([vehicle.position]), np.zeros(1))

@@ -34,16 +34,21 @@ class World:
 
 
 def near_as_before(world: World, centre: Ned, reach_m: float, half: Ned) -> World:
-    """As `World.near`, but of a larger box that starts and ends on whole metres: one cut serves many looks.
+    """As `World.near`, but of a larger box whose sides lie on a grid of GRID_M: one cut serves many looks.
 
     A function of its arguments alone, so that what is seen does not depend on what was looked at before.
     """
-    bounds = [(math.floor(c - h), math.ceil(c + h)) for c, h in zip(centre, half, strict=True)]
+    bounds = [
+        (GRID_M * math.floor((c - h) / GRID_M), GRID_M * math.ceil((c + h) / GRID_M))
+        for c, h in zip(centre, half, strict=True)
+    ]
     middle, sides = (Ned(*(0.5 * (high + sign * low) for low, high in bounds)) for sign in (1, -1))
     return _cut(world, middle, float(math.ceil(reach_m)), sides)
 
 
-_cut = lru_cache(maxsize=16)(World.near)
+GRID_M = 4.0
+"""Wider, and every look sees more of what does not matter; narrower, and more of them need a cut of their own."""
+_cut = lru_cache(maxsize=32)(World.near)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -240,7 +241,7 @@ class Path:
     until_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Profile:
     """Rest to rest over `distance` with bounded speed and acceleration: a trapezoid, or a triangle when short."""
 
@@ -248,12 +249,12 @@ class Profile:
     speed: float
     acceleration: float
 
-    @property
+    @cached_property
     def peak(self) -> float:
         """The highest speed reached."""
         return min(self.speed, math.sqrt(self.distance * self.acceleration))
 
-    @property
+    @cached_property
     def duration_s(self) -> float:
         if self.distance <= 0.0:
             return 0.0
