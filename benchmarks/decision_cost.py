@@ -273,6 +273,7 @@ def percentiles(times: tuple[np.ndarray, np.ndarray]) -> tuple[float, float, str
 
 
 COUNTS = (1, 10, 100, 1000)
+LABEL_HEIGHT = 15.0
 
 
 def plot(costs: dict[str, list[float]]) -> str:
@@ -301,11 +302,15 @@ def plot(costs: dict[str, list[float]]) -> str:
         parts.append(f'<text x="{x:.1f}" y="{y + 18:.1f}" text-anchor="middle">{count}</text>')
     parts.append(f'<text x="{left + width / 2}" y="{top + height + 40}" text-anchor="middle">neighbours</text>')
     parts.append(f'<text x="{left}" y="{top - 6}">median of one decision, ms</text>')
+    labelled_y: list[float] = []
     for (name, found), ink in zip(costs.items(), ("#0072b2", "#d55e00", "#56b4e9", "#e69f00"), strict=False):
         points = [place(count, cost_ms) for count, cost_ms in zip(COUNTS, found, strict=True)]
         line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{ink}" stroke-width="2"/>')
         x, y = points[-1]
+        while any(abs(y - other) < LABEL_HEIGHT for other in labelled_y):
+            y += 1.0
+        labelled_y.append(y)
         parts.append(f'<text x="{x + 8:.1f}" y="{y + 4:.1f}" fill="{ink}">{name}</text>')
     return "\n".join([*parts, "</svg>", ""])
 
