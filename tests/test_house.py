@@ -22,7 +22,18 @@ FORBIDDEN = {
     "a package registry": r"pyp[i]\.org|pythonhoste[d]|npmj[s]|deb\.debia[n]",
 }
 LARGEST_BYTES = 1 << 20
-PURE = {"__future__", "collections", "dataclasses", "enum", "functools", "itertools", "math", "numpy", "typing"}
+PURE = {
+    "__future__",
+    "collections",
+    "dataclasses",
+    "enum",
+    "functools",
+    "itertools",
+    "operator",
+    "math",
+    "numpy",
+    "typing",
+}
 MAY_IMPORT = {
     "safety": {*PURE, "pymap3d", "shapely", "safety"},
     "m3r_app/arbiter": {*PURE, "safety", "m3r_app.arbiter", "m3r_app.output"},
