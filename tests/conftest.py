@@ -23,6 +23,8 @@ settings.load_profile("soak" if SOAK else "sample")
 TESTS = Path(__file__).resolve().parent
 PURE = (
     "safety",
+    "test_house.py",
+    "test_readme.py",
     "config",
     "m3r_app/test_arbiter.py",
     "m3r_app/test_out_there.py",
