@@ -14,9 +14,9 @@ from safety.constraints import RULES, findings, nearby
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.situation import Situation, World
-from safety.vocabulary import Anchor, Geodetic, Ned, Neighbours, Operator, Path, VehicleState
+from safety.vocabulary import Anchor, FlightMode, Geodetic, Ned, Neighbours, Operator, Path, VehicleState
 
-FIT_TO_HOLD = frozenset({"HOLD", "MISSION", "READY", "TAKEOFF"})
+FIT_TO_HOLD = frozenset({FlightMode.HOLD, FlightMode.MISSION, FlightMode.READY, FlightMode.TAKEOFF})
 """Flight modes that pairing may end; in any other a person, another ground station or a failsafe is flying it."""
 WHERE_IT_STANDS = frozenset(
     {"geofence", "standoff", "terrain_clearance", "agl", "obstacle_clearance", "terrain_confidence"}

@@ -36,8 +36,7 @@ from m3r_app.takeoff_landing import GroundWork
 from m3r_app.vehicle import px4_failsafe
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.interface import Links, VehicleError
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.interface import Links, Vehicle, VehicleError
 from modalities.hands.gestures import Hand
 from modalities.notices import SenseChange
 from modalities.voice.push_to_talk import PushToTalk

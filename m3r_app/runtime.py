@@ -43,12 +43,11 @@ from m3r_app.output import AnnounceEvent, Notice, OutputEvent, PairEvent, PairSt
 from m3r_app.snapshot import craft, margins
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.interface import VehicleError
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.interface import Vehicle, VehicleError
 from m3r_app.vehicle.motion_controller import MotionController
-from m3r_app.vehicle.telemetry import UNKNOWN_MODE, Telemetry
+from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
-from safety.vocabulary import Anchor, Command, ManeuverRequest, Ned, Neighbours, VehicleState
+from safety.vocabulary import Anchor, Command, FlightMode, ManeuverRequest, Ned, Neighbours, VehicleState
 
 INBOX = 512
 TICK_S = 0.1
@@ -238,7 +237,12 @@ class Shell:
             self.take(Ended("the run is over"))
         finally:
             await self.settled(within_s)
-            if ours and vehicle is not None and vehicle.telemetry().flight_mode == "OFFBOARD" and self.controller:
+            if (
+                ours
+                and vehicle is not None
+                and vehicle.telemetry().flight_mode == FlightMode.OFFBOARD
+                and self.controller
+            ):
                 with contextlib.suppress(TimeoutError):  # only where the step above broke
                     await asyncio.wait_for(vehicle.hold(), within_s)
 
@@ -323,7 +327,7 @@ class Shell:
 
         async def hold() -> None:
             vehicle = self.fleet.vehicles.get(colour)
-            if vehicle is not None and vehicle.telemetry().flight_mode == "TAKEOFF":
+            if vehicle is not None and vehicle.telemetry().flight_mode == FlightMode.TAKEOFF:
                 try:
                     await vehicle.hold()
                 except VehicleError as error:
@@ -465,13 +469,13 @@ class Shell:
         )
         self.inbox.put(TelemetryArrived(state))
 
-    def _flight_mode(self, telemetry: Telemetry) -> str:
+    def _flight_mode(self, telemetry: Telemetry) -> FlightMode:
         """The mode as reported, or as commanded while the report is still the old one (it comes once a second)."""
         controller = self.controller
         if controller is None:
             return telemetry.flight_mode
-        if self._mode_is_old(telemetry) and telemetry.flight_mode != UNKNOWN_MODE:
-            return "OFFBOARD" if controller.engaged else "HOLD"
+        if self._mode_is_old(telemetry) and telemetry.flight_mode != FlightMode.UNKNOWN:
+            return FlightMode.OFFBOARD if controller.engaged else FlightMode.HOLD
         return telemetry.flight_mode
 
     def _mode_is_old(self, telemetry: Telemetry) -> bool:
@@ -481,7 +485,7 @@ class Shell:
     def _unasked_hold(self, telemetry: Telemetry) -> bool:
         """Whether it left Offboard for Hold and it was not us: not the guard either, which says so itself. Source: X3."""
         engaged = self.controller is not None and self.controller.engaged
-        in_hold = telemetry.flight_mode == "HOLD" and not self._mode_is_old(telemetry)
+        in_hold = telemetry.flight_mode == FlightMode.HOLD and not self._mode_is_old(telemetry)
         return engaged and in_hold and not self.guard.stalled
 
     # ------------------------------------------------------------ reports

@@ -17,7 +17,7 @@ from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand
 from safety.constraints import RULES, PathRule, Rule, findings, nearby
 from safety.frames import LocalFrame
-from safety.vocabulary import Finding, Ned, Path
+from safety.vocabulary import Finding, FlightMode, Ned, Path
 
 WATCHED = {
     "terrain_clearance": "terrain",
@@ -49,7 +49,8 @@ class Craft:
     """Of its position."""
     link_age_s: float
     battery: float | None
-    flight_mode: str
+    flight_mode: FlightMode | None
+    """None: only others tell of it."""
     in_air: bool | None
     ours: bool
     """It can be paired with; others are only heard."""
@@ -145,7 +146,7 @@ def heard_of(state: ArbiterState, known: frozenset[str], now_s: float) -> tuple[
                 age_s,
                 age_s,
                 None,
-                "",
+                None,
                 None,
                 ours=False,
             )

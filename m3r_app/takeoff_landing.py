@@ -8,8 +8,7 @@ from typing import Any
 
 from m3r_app.output import Announcing, Notice
 from m3r_app.runtime import Shell
-from m3r_app.vehicle.interface import VehicleError
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.interface import Vehicle, VehicleError
 from safety.vocabulary import State
 
 HOLD_S = 5.0

@@ -131,6 +131,30 @@ class ManeuverRequest:
     """The drone named, for ACTIVATE and DISCONNECT."""
 
 
+class FlightMode(StrEnum):
+    """Which mode an autopilot flies in, by the names of MAVSDK; whose own name for it is what, only `vehicle.mavsdk_*` know."""
+
+    OFFBOARD = "OFFBOARD"
+    """It flies the setpoints that somebody streams."""
+    HOLD = "HOLD"
+    TAKEOFF = "TAKEOFF"
+    LAND = "LAND"
+    RETURN = "RETURN_TO_LAUNCH"
+    MISSION = "MISSION"
+    READY = "READY"
+    FOLLOW_ME = "FOLLOW_ME"
+    POSITION = "POSCTL"
+    ALTITUDE = "ALTCTL"
+    STABILIZED = "STABILIZED"
+    MANUAL = "MANUAL"
+    ACRO = "ACRO"
+    RATTITUDE = "RATTITUDE"
+    OTHER = "OTHER"
+    """It told one that has no name here: somebody else's."""
+    UNKNOWN = "UNKNOWN"
+    """It tells none."""
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleState:
     """What the session's drone last reported, in the session's local frame."""
@@ -147,7 +171,7 @@ class VehicleState:
     healthy: bool = False
     in_air: bool | None = None
     """None: it does not say."""
-    flight_mode: str = "UNKNOWN"
+    flight_mode: FlightMode = FlightMode.UNKNOWN
     battery: float | None = None
     """Remaining fraction, 0 to 1; NaN: unknown; None: declared to be unknown (its own health checks may still tell)."""
     disagreement: Ned = Ned(0.0, 0.0, 0.0)

@@ -43,6 +43,7 @@ from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import (
     Command,
+    FlightMode,
     ManeuverRequest,
     Modality,
     Ned,
@@ -282,7 +283,7 @@ class Flight:
                 self.sigma_v_m,
                 healthy=True,
                 in_air=True,
-                flight_mode="OFFBOARD",
+                flight_mode=FlightMode.OFFBOARD,
             )
         )
 

@@ -19,7 +19,7 @@ from safety.monitor import Watch, watch
 from safety.planner import full_speed_m_s
 from safety.situation import Situation
 from safety.supervisor import FULL_TURN_DEG
-from safety.vocabulary import Cause, Finding, Ned, Plan, Primitive, State, VehicleState
+from safety.vocabulary import Cause, Finding, FlightMode, Ned, Plan, Primitive, State, VehicleState
 
 UNHEARD = "nothing was heard from it for a moment"
 
@@ -108,7 +108,7 @@ def trouble(run: Step, vehicle: VehicleState, last: VehicleState | None) -> str 
         return None
     if last is not None and not vehicle.at_s - last.at_s <= limits.telemetry_age_s:
         return UNHEARD
-    if vehicle.flight_mode != "OFFBOARD" and run.now_s - flight.started_at_s > limits.engaging_s:
+    if vehicle.flight_mode != FlightMode.OFFBOARD and run.now_s - flight.started_at_s > limits.engaging_s:
         return f"the autopilot left offboard for {vehicle.flight_mode}"
     return unfit_to_fly(vehicle, limits)
 

@@ -19,11 +19,11 @@ from m3r_app.output import MotionStatus, Notice, PairStatus
 from safety.confidence import localization
 from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_noisy, with_hover
 from safety.frames import bearing_deg, wrap_deg
-from safety.vocabulary import Cause, Finding, ManeuverRequest, Path, State, VehicleState
+from safety.vocabulary import Cause, Finding, FlightMode, ManeuverRequest, Path, State, VehicleState
 
 TOLD_WHOLE_S = 1.2
 """That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
-OURS = frozenset({"OFFBOARD", "HOLD"})
+OURS = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 
 # ---------------------------------------------------------------- it begins
@@ -173,15 +173,15 @@ def lost(run: Step, vehicle: VehicleState) -> bool:
         leave(run, Cause.AUTHORITY_LOST, "nothing", "its autopilot restarted in flight", vehicle_lost=True)
     elif run.state.down_since_s is not None and run.now_s - run.state.down_since_s < TOLD_WHOLE_S:
         return False
-    elif vehicle.armed is False and vehicle.flight_mode in (*OURS, "UNKNOWN"):
+    elif vehicle.armed is False and vehicle.flight_mode in (*OURS, FlightMode.UNKNOWN):
         # PX4 calls it landed at once. Nothing that is flown in a session comes down to the ground.
         leave(run, Cause.AUTHORITY_LOST, "nothing", "it was disarmed in the air by somebody else: it falls")
     elif vehicle.in_air is False:
         leave(run, Cause.AUTHORITY_LOST, "nothing", "it is no longer in the air, so it is let go")
-    elif vehicle.flight_mode == "UNKNOWN" or vehicle.in_air is None:
+    elif vehicle.flight_mode == FlightMode.UNKNOWN or vehicle.in_air is None:
         # Nobody is known to have taken over, so the drone is not left with the last setpoint.
         run.do(Hold("unknown mode"))
-        what = "its flight mode is" if vehicle.flight_mode == "UNKNOWN" else "whether it flies is"
+        what = "its flight mode is" if vehicle.flight_mode == FlightMode.UNKNOWN else "whether it flies is"
         why = f"{what} not told any more, so it is told to hold; pair again to go on"
         leave(run, Cause.AUTHORITY_LOST, "hold", why)
     elif vehicle.unasked_hold:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from m3r_app.vehicle.adsb import newest
-from m3r_app.vehicle.interface import Links
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.interface import Links, Vehicle
+from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 from safety.frames import LocalFrame
 from safety.vocabulary import Neighbours
 
@@ -31,9 +31,11 @@ class Fleet:
         """Connect to all at once. Raises VehicleError of the first that fails, with none left open."""
         urls = {**links.vehicles, **links.others}
         answers = await asyncio.gather(
-            *(Vehicle.connect(name, url, clock, timeout_s) for name, url in urls.items()), return_exceptions=True
+            *(MavsdkVehicle.connect(name, url, clock, timeout_s) for name, url in urls.items()), return_exceptions=True
         )
-        connected = {name: v for name, v in zip(urls, answers, strict=True) if isinstance(v, Vehicle)}
+        connected: dict[str, Vehicle] = {
+            name: v for name, v in zip(urls, answers, strict=True) if isinstance(v, MavsdkVehicle)
+        }
         failures = [a for a in answers if isinstance(a, BaseException)]
         if failures:
             await asyncio.gather(*(v.close() for v in connected.values()))

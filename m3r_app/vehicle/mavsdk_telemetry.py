@@ -19,7 +19,7 @@ from m3r_app.vehicle import px4_modes
 from m3r_app.vehicle.adsb import AdsbTraffic
 from m3r_app.vehicle.telemetry import Accuracy, Health, Slots
 from safety.frames import wrap_deg
-from safety.vocabulary import Geodetic, Ned
+from safety.vocabulary import FlightMode, Geodetic, Ned
 
 RC_RECEIVER = 65536
 """MAV_SYS_STATUS_SENSOR_RC_RECEIVER; PX4 sets it present while a manual control signal is heard."""
@@ -45,6 +45,8 @@ INTERVALS_US = {
 }
 """How often each is asked for: a takeover, a landing and a restart must be known soon, and HEARTBEAT alone comes at 1 Hz."""
 SET_MESSAGE_INTERVAL = 511
+MODES = {mode.value: mode for mode in FlightMode}
+"""By the names that MAVSDK gives them, whatever autopilot it is that told them."""
 
 HEALTH_CHECKS = {
     "is_gyrometer_calibration_ok": "gyroscope",
@@ -153,7 +155,7 @@ class Reception:
     def _flight_mode(self, mode: Any, _: Any) -> None:
         # MAVSDK takes whoever fills in an autopilot for the autopilot; of a PX4 the mode is read from its own messages.
         if not self._px4:
-            self.slots.flight_mode.put(str(mode.name), self._clock())
+            self.slots.flight_mode.put(MODES.get(str(mode.name), FlightMode.OTHER), self._clock())
 
     def _heartbeat(self, message: Any, _: Any) -> None:
         fields = _fields(message)
@@ -172,7 +174,7 @@ class Reception:
 
     def _custom_mode(self, custom_mode: float) -> None:
         if self._px4 and math.isfinite(custom_mode):
-            self.slots.flight_mode.put(px4_modes.name_of(int(custom_mode)), self._clock())
+            self.slots.flight_mode.put(px4_modes.mode_of(int(custom_mode)), self._clock())
 
     def _extended_sys_state(self, message: Any, _: Any) -> None:
         in_air = IN_AIR.get(int(_number(_fields(message), "landed_state", 0.0)))

@@ -38,8 +38,8 @@ from m3r_app.vehicle.adsb import Aircraft
 from m3r_app.vehicle.interface import VehicleError
 from m3r_app.vehicle.mavsdk_parameters import ParameterClient
 from m3r_app.vehicle.mavsdk_telemetry import AUTOPILOT_COMPONENT, Reception
-from m3r_app.vehicle.telemetry import NO_HEALTH, UNKNOWN_MODE, Telemetry
-from safety.vocabulary import Ned
+from m3r_app.vehicle.telemetry import NO_HEALTH, Telemetry
+from safety.vocabulary import FlightMode, Ned
 
 COMMAND_TIMEOUT_S = 4.0
 """MAVSDK itself sends a command three times, half a second apart or more, before it gives up."""
@@ -56,14 +56,14 @@ SETTLED_M_S, SETTLED_M, SETTLED_S = 0.2, 0.5, 1.0
 LET_GO_S = 20.0
 """So long a drone that is let go is told to hold, again and again, until it is seen to."""
 LET_GO_AGAIN_S = 0.3
-BEFORE_TAKEOFF = ("HOLD", "READY")
+BEFORE_TAKEOFF = (FlightMode.HOLD, FlightMode.READY)
 """The modes that a vehicle may be in until it has taken up its take-off."""
 TAKEOFF_ALTITUDE = "MIS_TAKEOFF_ALT"
 OFFBOARD_RETRY_S = 2.0
 """PX4 denies Offboard until it has seen setpoints: how long to ask again."""
 HEALTH_WAIT_S = 3.0
 """The home position, which health needs, comes every two seconds."""
-OUR_MODES = ("OFFBOARD", "HOLD", None)
+OUR_MODES = (FlightMode.OFFBOARD, FlightMode.HOLD, None)
 """The modes a vehicle is in while we command it; None: not heard yet."""
 REASON_WAIT_S = 0.3
 """A refusal's reason comes as status text, shortly before or after the refusal."""
@@ -85,8 +85,8 @@ class StatusText:
     text: str
 
 
-class Vehicle:
-    """A connected vehicle. Made by `Vehicle.connect`; every method but the two blocking Holds belongs to the event loop."""
+class MavsdkVehicle:
+    """A connected vehicle. Made by `MavsdkVehicle.connect`; every method but the two blocking Holds belongs to the event loop."""
 
     def __init__(self, colour: str, url: str, clock: Callable[[], float], mavsdk: Mavsdk, system: Any) -> None:
         self.colour = colour
@@ -115,7 +115,7 @@ class Vehicle:
         )
 
     @classmethod
-    async def connect(cls, colour: str, url: str, clock: Callable[[], float], timeout_s: float = 10.0) -> Vehicle:
+    async def connect(cls, colour: str, url: str, clock: Callable[[], float], timeout_s: float = 10.0) -> MavsdkVehicle:
         """Open the link and wait for its first autopilot. Raises VehicleError: bad link, port in use, no answer."""
         _redirect_log()
         try:
@@ -217,7 +217,7 @@ class Vehicle:
         where a second vehicle answers on the same link.
         """
         await self.wait_for(
-            lambda t: math.isfinite(t.at_s) and t.flight_mode != UNKNOWN_MODE and t.unhealthy != NO_HEALTH,
+            lambda t: math.isfinite(t.at_s) and t.flight_mode != FlightMode.UNKNOWN and t.unhealthy != NO_HEALTH,
             timeout_s,
             "a first report of position, attitude, flight mode and health",
         )
@@ -236,7 +236,7 @@ class Vehicle:
         places: deque[tuple[float, Ned]] = deque()
 
         def settled(t: Telemetry) -> bool:
-            if t.flight_mode != "HOLD" or t.velocity is None or t.local is None:
+            if t.flight_mode != FlightMode.HOLD or t.velocity is None or t.local is None:
                 return False
             if not places or t.at_s > places[-1][0]:
                 places.append((t.at_s, t.local))
@@ -290,12 +290,12 @@ class Vehicle:
                 if self._loop.time() > deadline_s:
                     raise
             await asyncio.sleep(0.1)
-        await self.wait_for(lambda t: t.flight_mode == "OFFBOARD", MODE_WAIT_S, "Offboard")
+        await self.wait_for(lambda t: t.flight_mode == FlightMode.OFFBOARD, MODE_WAIT_S, "Offboard")
 
     async def hold(self) -> None:
         """Command Hold; returns when it is acknowledged and the vehicle itself reports it. Raises VehicleError."""
         await self._change_mode("Hold", px4_modes.AUTO, px4_modes.HOLD_SUB)
-        await self.wait_for(lambda t: t.flight_mode == "HOLD", MODE_WAIT_S, "Hold")
+        await self.wait_for(lambda t: t.flight_mode == FlightMode.HOLD, MODE_WAIT_S, "Hold")
 
     async def end_setpoints(self) -> None:
         """No setpoint leaves from here on. MAVSDK sends the last one again for as long as its plugin exists, so it ends."""
@@ -309,7 +309,7 @@ class Vehicle:
         await self.end_setpoints()
         deadline_s = self._loop.time() + LET_GO_S
         while True:
-            if self.telemetry().flight_mode not in ("OFFBOARD", "HOLD", UNKNOWN_MODE):
+            if self.telemetry().flight_mode not in (FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.UNKNOWN):
                 return  # somebody took over: that is never fought (X3)
             try:
                 await self.hold()
@@ -372,12 +372,16 @@ class Vehicle:
             reached, began = f"a take-off to {metres:g} m", False
 
             def there(t: Telemetry) -> bool:
-                return t.in_air is True and t.flight_mode == "HOLD" and risen_m(t) > 0.8 * metres
+                return t.in_air is True and t.flight_mode == FlightMode.HOLD and risen_m(t) > 0.8 * metres
 
             def over(t: Telemetry) -> bool:
                 nonlocal began
-                began = began or t.flight_mode == "TAKEOFF"
-                return there(t) or t.flight_mode not in (UNKNOWN_MODE, "TAKEOFF", *(() if began else BEFORE_TAKEOFF))
+                began = began or t.flight_mode == FlightMode.TAKEOFF
+                return there(t) or t.flight_mode not in (
+                    FlightMode.UNKNOWN,
+                    FlightMode.TAKEOFF,
+                    *(() if began else BEFORE_TAKEOFF),
+                )
 
             done = await self.wait_for(over, timeout_s, reached)
             if not there(done):

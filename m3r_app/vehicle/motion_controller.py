@@ -10,39 +10,14 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Protocol
 
+from m3r_app.vehicle.interface import Autopilot
 from safety.frames import wrap_deg
 from safety.vocabulary import Ned, Plan, Profile
 
 PERIOD_S = 1.0 / 50.0
 STALL_S = 0.3
 """A loop this late has stalled: the rest of the plan is dropped (X7)."""
-
-
-class Autopilot(Protocol):
-    """What the controller needs of a vehicle. Positions in the vehicle's own NED frame."""
-
-    def here(self) -> tuple[Ned, float] | None:
-        """Latest own position and yaw (deg); None: unknown."""
-
-    def set_position_ned(self, point: Ned, yaw_deg: float) -> None:
-        """Send one setpoint."""
-
-    async def enter_offboard(self) -> None:
-        """Offboard from a setpoint at the current position."""
-
-    async def end_setpoints(self) -> None:
-        """No setpoint leaves from here on."""
-
-    async def leave_in_hold(self) -> None:
-        """No setpoint leaves from here on, and the autopilot's own Hold, until it is seen."""
-
-    async def resume_mission(self) -> None:
-        """Back to the mission it flew before."""
-
-    async def begin_landing(self) -> None:
-        """Come down here, by itself."""
 
 
 @dataclass(frozen=True, slots=True)

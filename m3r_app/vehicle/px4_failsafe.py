@@ -7,9 +7,10 @@ them, setpoints that stop (a dead app, a lost link) end in Hold within the time-
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+
+from m3r_app.vehicle.interface import ParameterAccess
 
 OFFBOARD_LOSS_MAX_S = 1.0
 OFFBOARD_LOSS_APPLIED_S = 0.5
@@ -76,14 +77,6 @@ class Mismatch:
         if self.value is not None and math.isnan(self.value):
             return f"{self.name} did not answer: the link loses messages, so {self.remedy}."
         return f"{self.name} {found} and must be {self.required}: {self.remedy}."
-
-
-class ParameterAccess(Protocol):
-    """What reads and sets a vehicle's parameters: `m3r_app.vehicle.mavsdk_vehicle.Vehicle` is one."""
-
-    def parameters(self, names: Iterable[str]) -> Awaitable[Mapping[str, float | None]]: ...
-
-    def set_parameter(self, name: str, value: float) -> Awaitable[None]: ...
 
 
 def required_for(rc_present: bool | None) -> tuple[RequiredParameter, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from safety.vocabulary import Geodetic, Ned
+from safety.vocabulary import FlightMode, Geodetic, Ned
 
 MODE_AGE_S = 3.0
 """Flight mode, arming, health and landed state come at about 1 Hz: older than this and they are unknown."""
@@ -25,7 +25,6 @@ RATE_S = 2.0
 BATTERY_AGE_S = 10.0
 """PX4 sends BATTERY_STATUS every two seconds."""
 
-UNKNOWN_MODE = "UNKNOWN"
 NO_HEALTH = ("no health report",)
 
 
@@ -47,8 +46,7 @@ class Telemetry:
     sigma_h_m: float
     """1-sigma accuracy that the estimator states (ESTIMATOR_STATUS), or where it states none the receiver (GPS_RAW_INT)."""
     sigma_v_m: float
-    flight_mode: str
-    """MAVSDK's name of it: OFFBOARD, HOLD, MISSION, POSCTL, TAKEOFF, ... or UNKNOWN."""
+    flight_mode: FlightMode
     mode_at_s: float
     """When flight_mode arrived (HEARTBEAT, 1 Hz); -inf: never."""
     armed: bool | None
@@ -88,7 +86,7 @@ NEVER_HEARD = Telemetry(
     yaw_rate_deg_s=math.nan,
     sigma_h_m=math.nan,
     sigma_v_m=math.nan,
-    flight_mode=UNKNOWN_MODE,
+    flight_mode=FlightMode.UNKNOWN,
     mode_at_s=-math.inf,
     armed=None,
     in_air=None,
@@ -182,7 +180,7 @@ class Slots:
         self.yaw_rate_deg_s: Slot[float] = Slot()
         self.estimator: Slot[Accuracy] = Slot()
         self.receiver: Slot[Accuracy] = Slot()
-        self.flight_mode: Slot[str] = Slot()
+        self.flight_mode: Slot[FlightMode] = Slot()
         self.armed: Slot[bool] = Slot()
         self.in_air: Slot[bool] = Slot()
         self.health: Slot[Health] = Slot()
@@ -209,7 +207,7 @@ class Slots:
             yaw_rate_deg_s=_or_nan(self.yaw_rate_deg_s.value),
             sigma_h_m=self._sigma_m(now_s, "horizontal_m"),
             sigma_v_m=self._sigma_m(now_s, "vertical_m"),
-            flight_mode=self.flight_mode.fresh(now_s, MODE_AGE_S) or UNKNOWN_MODE,
+            flight_mode=self.flight_mode.fresh(now_s, MODE_AGE_S) or FlightMode.UNKNOWN,
             mode_at_s=self.flight_mode.at_s,
             armed=self.armed.fresh(now_s, MODE_AGE_S),
             in_air=self.in_air.fresh(now_s, MODE_AGE_S),

@@ -32,6 +32,7 @@ from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import (
     Command,
+    FlightMode,
     ManeuverRequest,
     Modality,
     Ned,
@@ -62,7 +63,7 @@ class Tabletop:
         self.pairing_reasons: tuple[str, ...] = ()
         self.answers_pairing = True
         self.position, self.yaw_deg, self.velocity = PLACE, 150.0, Ned(0.0, 0.0, 0.0)
-        self.flight_mode, self.in_air = "OFFBOARD", True
+        self.flight_mode, self.in_air = FlightMode.OFFBOARD, True
         self.sigma_m = 0.1
         self.sky = Neighbours.none(math.inf)
         self.volumes: tuple[ReservedVolume, ...] = ()

@@ -30,7 +30,18 @@ from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.limits import Limits
 from safety.obstacles import Obstacles
-from safety.vocabulary import Cause, Command, Modality, Mode, Ned, Neighbours, Primitive, ReservedVolume, State
+from safety.vocabulary import (
+    Cause,
+    Command,
+    FlightMode,
+    Modality,
+    Mode,
+    Ned,
+    Neighbours,
+    Primitive,
+    ReservedVolume,
+    State,
+)
 from tests.m3r_app.tabletop import FLAT, MOVING, PLACE, Tabletop, ball, check_step
 
 VOICE, GESTURE, PANEL = Modality.VOICE, Modality.GESTURE, Modality.PANEL
@@ -141,7 +152,10 @@ def every_event(table: Tabletop) -> list[Any]:
     ]
     told = [
         vehicle,
-        *(replace(vehicle, flight_mode=m) for m in ("HOLD", "POSCTL", "UNKNOWN", "RETURN_TO_LAUNCH", "LAND")),
+        *(
+            replace(vehicle, flight_mode=m)
+            for m in (FlightMode.HOLD, FlightMode.POSITION, FlightMode.UNKNOWN, FlightMode.RETURN, FlightMode.LAND)
+        ),
         replace(vehicle, in_air=False),
         replace(vehicle, position=Ned(nan, nan, nan)),
         replace(vehicle, velocity=Ned(nan, nan, nan)),
@@ -237,7 +251,10 @@ STEPS = st.one_of(
     st.tuples(st.just("grant"), st.sampled_from(["granted", "granted", "denied", "expired", None])),
     st.tuples(st.just("late"), st.sampled_from(["granted", "denied", "expired"])),
     st.tuples(st.just("traffic"), st.booleans()),
-    st.tuples(st.just("mode"), st.sampled_from(["OFFBOARD", "OFFBOARD", "HOLD", "POSCTL"])),
+    st.tuples(
+        st.just("mode"),
+        st.sampled_from([FlightMode.OFFBOARD, FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.POSITION]),
+    ),
     st.tuples(st.just("silence"), st.sampled_from([0.3, 1.0])),
     st.tuples(st.just("stall"), st.just(0)),
 )
@@ -273,7 +290,7 @@ def test_any_sequence(script: list[Any], back: Any, offer: Any) -> None:
             case "mode":
                 table.flight_mode = what[0]
                 table.tell()
-                table.flight_mode = "OFFBOARD"
+                table.flight_mode = FlightMode.OFFBOARD
             case "silence":
                 for _ in range(round(what[0] / 0.1)):
                     table.tick(telemetry=False)
@@ -1109,7 +1126,7 @@ def test_a_dead_feed_in_flight_aborts() -> None:
 
 @pytest.mark.requirement("X3", "X7")
 @pytest.mark.parametrize("state", [s for s in MADE if s not in (State.IDLE, State.PAIRING)])
-@pytest.mark.parametrize("mode", ["POSCTL", "RETURN_TO_LAUNCH", "LAND"])
+@pytest.mark.parametrize("mode", [FlightMode.POSITION, FlightMode.RETURN, FlightMode.LAND])
 def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
     """X3: nothing is commanded any more, whatever comes, until a new pairing."""
     table = MADE[state]()
@@ -1131,7 +1148,7 @@ def test_a_takeover_is_never_fought(state: State, mode: str) -> None:
 def test_a_mode_that_is_not_told_any_more_is_held_and_let_go(state: State) -> None:
     """X3, X6: nobody is known to have taken over, so the drone is not left on the last setpoint."""
     table = MADE[state]()
-    table.flight_mode = "UNKNOWN"
+    table.flight_mode = FlightMode.UNKNOWN
     effects = table.put(TelemetryArrived(table.vehicle()))
     assert table.state.state is State.IDLE
     assert LetGo("hold") in effects
@@ -1188,7 +1205,7 @@ def test_a_telemetry_gap_drops_the_plan() -> None:
 @pytest.mark.requirement("X3", "X7")
 def test_the_autopilot_leaving_offboard_drops_the_plan() -> None:
     table = flying()
-    table.flight_mode = "HOLD"
+    table.flight_mode = FlightMode.HOLD
     table.tell()
     assert table.state.state is State.SETTLING
 

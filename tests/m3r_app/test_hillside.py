@@ -23,6 +23,7 @@ from safety.vocabulary import (
     Anchor,
     Command,
     Decision,
+    FlightMode,
     ManeuverRequest,
     Modality,
     Ned,
@@ -78,7 +79,7 @@ def situation(scenario: Scenario, frame: LocalFrame, world: World, fleet: Fleet,
     red = fleet.links["red"].autopilot
     sigma_h_m, sigma_v_m = red.sigmas_m
     vehicle = VehicleState(
-        100.0, red.position, Ned(0.0, 0.0, 0.0), 180.0, 0.0, sigma_h_m, sigma_v_m, True, True, "HOLD", 1.0
+        100.0, red.position, Ned(0.0, 0.0, 0.0), 180.0, 0.0, sigma_h_m, sigma_v_m, True, True, FlightMode.HOLD, 1.0
     )
     return Situation(
         now_s=100.0,

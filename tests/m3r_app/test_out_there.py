@@ -18,7 +18,7 @@ from m3r_app.arbiter.events import FrameMoved, TelemetryArrived
 from m3r_app.arbiter.state import Policy
 from m3r_app.arbiter.wording import reasons
 from safety.limits import Limits
-from safety.vocabulary import Command, Finding, Ned, State
+from safety.vocabulary import Command, Finding, FlightMode, Ned, State
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.test_arbiter import delayed, facing, flying, held, settling, waiting
 
@@ -43,7 +43,7 @@ def last_words(table: Tabletop) -> str:
 
 @pytest.mark.parametrize("made", IN_SESSION)
 def test_a_hold_not_asked_for_ends_every_session(made: Callable[[], Tabletop]) -> None:
-    table = told(made(), flight_mode="HOLD", unasked_hold=True)
+    table = told(made(), flight_mode=FlightMode.HOLD, unasked_hold=True)
     assert table.state.session is None
     assert "counts as stop" in last_words(table)
     assert table.effects(LetGo)[-1] == LetGo("hold"), "the setpoints end, and what it holds by is Hold"
@@ -52,7 +52,7 @@ def test_a_hold_not_asked_for_ends_every_session(made: Callable[[], Tabletop]) -
 
 @pytest.mark.parametrize("made", IN_SESSION)
 def test_a_hold_that_we_asked_for_ends_none(made: Callable[[], Tabletop]) -> None:
-    assert told(made(), flight_mode="HOLD").state.session is not None
+    assert told(made(), flight_mode=FlightMode.HOLD).state.session is not None
 
 
 @pytest.mark.parametrize("made", IN_SESSION)
@@ -66,8 +66,8 @@ def test_a_hold_that_we_asked_for_ends_none(made: Callable[[], Tabletop]) -> Non
         ({"in_air": False}, "it is no longer in the air, so it is let go", "nothing"),
         ({"in_air": False, "armed": False}, "it was disarmed in the air by somebody else: it falls", "nothing"),
         ({"in_air": None}, "whether it flies is not told any more", "hold"),
-        ({"flight_mode": "UNKNOWN"}, "its flight mode is not told any more", "hold"),
-        ({"flight_mode": "LAND"}, "its autopilot or somebody else flies it (LAND)", "nothing"),
+        ({"flight_mode": FlightMode.UNKNOWN}, "its flight mode is not told any more", "hold"),
+        ({"flight_mode": FlightMode.LAND}, "its autopilot or somebody else flies it (LAND)", "nothing"),
     ],
 )
 def test_the_end_of_a_session_is_said_as_what_it_is(
@@ -89,7 +89,7 @@ def test_a_landing_waits_for_what_else_is_told() -> None:
         ({"armed": False}, "disarmed in the air"),
         ({"armed": False, "restarts": 1}, "restarted in flight"),
         ({}, "no longer in the air"),
-        ({"flight_mode": "LAND"}, "no longer in the air"),
+        ({"flight_mode": FlightMode.LAND}, "no longer in the air"),
     ):
         table = flying()
         told(table, in_air=False, armed=True)
@@ -124,7 +124,7 @@ def test_what_happens_before_a_takeover_is_told_is_no_violation_of_ours() -> Non
     too_fast(table, 0.6)
     assert table.state.state is State.EMERGENCY_HOLD, "we abort at once all the same"
     assert not [v for v in table.reports("violation") if v["kind"] == "actual"]
-    told(table, flight_mode="LAND")
+    told(table, flight_mode=FlightMode.LAND)
     assert table.state.tally.violations == 0 and not [v for v in table.reports("violation") if v["kind"] == "actual"]
 
 

@@ -17,7 +17,7 @@ from safety.limits import Limits
 from safety.obstacles import Obstacles
 from safety.situation import World
 from safety.terrain import Terrain
-from safety.vocabulary import Geodetic, Ned, Operator
+from safety.vocabulary import FlightMode, Geodetic, Ned, Operator
 
 pytestmark = pytest.mark.requirement("P1", "X8")
 
@@ -27,7 +27,7 @@ WORLD = World(Terrain.flat(500.0, 0.1, 500.0), Obstacles.none(), None)
 LIMITS, PAIRING = Limits(), PairingLimits(100.0, 3.0)
 FIT = replace(
     NEVER_HEARD, at_s=100.0, heard_at_s=100.0, geodetic=FRAME.geodetic(Ned(10.0, 0.0, -10.0)), local=Ned(0, 0, 0),
-    velocity=Ned(0, 0, 0), yaw_deg=0.0, yaw_rate_deg_s=0.0, sigma_h_m=0.3, sigma_v_m=0.3, flight_mode="HOLD",
+    velocity=Ned(0, 0, 0), yaw_deg=0.0, yaw_rate_deg_s=0.0, sigma_h_m=0.3, sigma_v_m=0.3, flight_mode=FlightMode.HOLD,
     mode_at_s=100.0, armed=True, in_air=True, healthy=True, unhealthy=(), rate_hz=50.0, battery=0.8,
 )  # fmt: skip
 
@@ -48,7 +48,7 @@ def test_nothing_stands_against_a_fit_drone() -> None:
     ({"at_s": 99.0}, "stale"), ({"at_s": math.nan}, "stale"),
     ({"healthy": False, "unhealthy": ("gyro", "home")}, "gyro, home"),
     ({"in_air": False}, "take off first"), ({"in_air": None}, "take off first"),
-    ({"flight_mode": "POSCTL"}, "POSCTL"), ({"flight_mode": "UNKNOWN"}, "UNKNOWN"),
+    ({"flight_mode": FlightMode.POSITION}, "POSCTL"), ({"flight_mode": FlightMode.UNKNOWN}, "UNKNOWN"),
     ({"geodetic": None}, "position is unknown"),
     (at(101.0, 0.0, 0.0), "more than 100 m"), (at(3.9, 0.0, -10.0), "nearer than 4.0 m"),
     ({"geodetic": Geodetic(math.nan, 7.0, 500.0)}, "away"),
@@ -98,7 +98,7 @@ def test_the_battery_is_known_or_declared_unknown(battery: float | None, declare
 
 
 def test_a_drone_in_somebody_elses_offboard_is_not_taken() -> None:
-    assert any("OFFBOARD" in s for s in found(replace(FIT, flight_mode="OFFBOARD")))
+    assert any("OFFBOARD" in s for s in found(replace(FIT, flight_mode=FlightMode.OFFBOARD)))
 
 
 @pytest.mark.parametrize(("up_m", "refused"), [(1.9, True), (2.1, False)])
@@ -108,7 +108,7 @@ def test_a_drone_that_hovers_lower_than_it_may_is_not_paired_with(up_m: float, r
     assert any("it hovers" in s and "too low" in s for s in said) == refused
 
 
-STANDING = replace(FIT, in_air=False, armed=False, flight_mode="HOLD", **at(10.0, 0.0, -0.1))
+STANDING = replace(FIT, in_air=False, armed=False, flight_mode=FlightMode.HOLD, **at(10.0, 0.0, -0.1))
 
 
 @pytest.mark.parametrize(

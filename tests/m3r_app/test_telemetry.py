@@ -11,7 +11,7 @@ import pytest
 
 from m3r_app.vehicle.mavsdk_telemetry import HEALTH_CHECKS, RC_RECEIVER, Reception
 from m3r_app.vehicle.telemetry import ACCURACY_AGE_S, BATTERY_AGE_S, MODE_AGE_S, NEVER_HEARD, Accuracy, Health, Slots
-from safety.vocabulary import Geodetic, Ned
+from safety.vocabulary import FlightMode, Geodetic, Ned
 
 pytestmark = pytest.mark.requirement("X6")
 
@@ -230,7 +230,7 @@ def test_only_the_autopilots_own_component_is_believed() -> None:
     ("main", "sub", "name"),
     [
         (4, 3, "HOLD"), (4, 2, "TAKEOFF"), (4, 4, "MISSION"), (4, 5, "RETURN_TO_LAUNCH"), (4, 6, "LAND"), (4, 9, "LAND"),
-        (3, 0, "POSCTL"), (2, 0, "ALTCTL"), (6, 0, "OFFBOARD"), (7, 0, "STABILIZED"), (4, 7, "AUTO_7"), (99, 0, "MODE_99"),
+        (3, 0, "POSCTL"), (2, 0, "ALTCTL"), (6, 0, "OFFBOARD"), (7, 0, "STABILIZED"), (4, 7, "OTHER"), (99, 0, "OTHER"),
     ],
 )  # fmt: skip
 def test_every_mode_of_px4_has_a_name(main: int, sub: int, name: str) -> None:
@@ -240,6 +240,15 @@ def test_every_mode_of_px4_has_a_name(main: int, sub: int, name: str) -> None:
         heard.tell_everything()
         heard.message(kind, autopilot=12, base_mode=128, custom_mode=main << 16 | sub << 24)
         assert heard.reception.slots.snapshot(100.0).flight_mode == name
+
+
+@pytest.mark.parametrize(("named", "mode"), [("LAND", "LAND"), ("UNKNOWN", "UNKNOWN"), ("THROW", "OTHER")])
+def test_the_modes_of_other_autopilots_are_those_that_mavsdk_takes_them_for(named: str, mode: str) -> None:
+    """One that has no name here is somebody's, too."""
+    heard = Heard()
+    heard.message("HEARTBEAT", autopilot=3, base_mode=128, custom_mode=18)
+    heard.tell("flight_mode", SimpleNamespace(name=named))
+    assert heard.reception.slots.snapshot(100.0).flight_mode is FlightMode(mode)
 
 
 @pytest.mark.parametrize(("state", "in_air"), [(0, None), (1, False), (2, True), (3, True), (4, True), (9, None)])

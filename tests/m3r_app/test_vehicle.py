@@ -22,11 +22,11 @@ import pytest
 from m3r_app.ports import free_udp_block
 from m3r_app.vehicle.guard import Guard
 from m3r_app.vehicle.interface import VehicleError
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 from m3r_app.vehicle.px4_failsafe import apply, check
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
-from safety.vocabulary import Geodetic, Ned
+from safety.vocabulary import FlightMode, Geodetic, Ned
 from tests.m3r_app.autopilot_stand_in import HOLD, MISSION, OFFBOARD, POSCTL, StandIn
 from tests.m3r_app.sim.fleet_process import FleetProcess
 
@@ -44,8 +44,8 @@ def fleet() -> Iterator[FleetProcess]:
 
 
 @asynccontextmanager
-async def connected(url: str, colour: str = "red") -> AsyncIterator[Vehicle]:
-    vehicle = await Vehicle.connect(colour, url, time.monotonic, 5.0)
+async def connected(url: str, colour: str = "red") -> AsyncIterator[MavsdkVehicle]:
+    vehicle = await MavsdkVehicle.connect(colour, url, time.monotonic, 5.0)
     try:
         await vehicle.wait_ready()
         yield vehicle
@@ -53,7 +53,7 @@ async def connected(url: str, colour: str = "red") -> AsyncIterator[Vehicle]:
         await vehicle.close()
 
 
-def with_stand_in(test: Callable[[Vehicle, StandIn], Awaitable[None]], **how: object) -> None:
+def with_stand_in(test: Callable[[MavsdkVehicle, StandIn], Awaitable[None]], **how: object) -> None:
     """Run a test on a vehicle that does as told."""
 
     async def run() -> None:
@@ -96,7 +96,7 @@ def test_telemetry_arrives_complete_true_and_fresh_fifty_times_a_second(fleet: F
             assert abs(abs(latest.yaw_deg) - 180.0) < 5.0
             assert abs(latest.yaw_rate_deg_s) < 20.0
             assert 0.1 < latest.sigma_h_m < 1.0 and 0.1 < latest.sigma_v_m < 1.5
-            assert (latest.flight_mode, latest.armed, latest.in_air) == ("HOLD", True, True)
+            assert (latest.flight_mode, latest.armed, latest.in_air) == (FlightMode.HOLD, True, True)
             assert latest.healthy and latest.unhealthy == ()
             assert latest.battery is not None and 0.5 < latest.battery <= 1.0
             assert latest.rc_present is False
@@ -109,14 +109,14 @@ def test_an_offboard_step_moves_the_drone_and_hold_stops_it(fleet: FleetProcess)
         async with connected(fleet.vehicles["red"]) as vehicle:
             await vehicle.enter_offboard()
             start = vehicle.telemetry()
-            assert start.flight_mode == "OFFBOARD" and start.local is not None
+            assert start.flight_mode == FlightMode.OFFBOARD and start.local is not None
             goal = start.local.plus(Ned(0.0, 1.0, 0.0))
             vehicle.set_position_ned(goal, start.yaw_deg)
             await vehicle.wait_for(
                 lambda t: t.local is not None and t.local.minus(goal).norm < 0.6, 10.0, "a step of 1 m"
             )
             await vehicle.hold()
-            await vehicle.wait_for(lambda t: t.flight_mode == "HOLD", 3.0, "Hold")
+            await vehicle.wait_for(lambda t: t.flight_mode == FlightMode.HOLD, 3.0, "Hold")
 
     asyncio.run(run())
 
@@ -132,7 +132,7 @@ def test_a_blocked_event_loop_is_put_in_hold_by_the_guard_over_mavlink(fleet: Fl
                 guard.arm(vehicle.hold_unless_taken_over)
                 time.sleep(1.5)  # noqa: ASYNC251 - the stall itself
                 assert not guard.beat()
-                await vehicle.wait_for(lambda t: t.flight_mode == "HOLD", 2.0, "the guard's Hold")
+                await vehicle.wait_for(lambda t: t.flight_mode == FlightMode.HOLD, 2.0, "the guard's Hold")
                 assert len(reports) == 1 and "commanded Hold" in reports[0]
             finally:
                 guard.close()
@@ -143,13 +143,13 @@ def test_a_blocked_event_loop_is_put_in_hold_by_the_guard_over_mavlink(fleet: Fl
 STUCK = """
     import asyncio, ctypes, sys, time
     from m3r_app.vehicle.guard import Guard
-    from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+    from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
     from safety.vocabulary import Ned
 
     async def main():
         guard = Guard(lambda text: None)
         guard.start()
-        vehicle = await Vehicle.connect("red", sys.argv[1], time.monotonic, 5.0)
+        vehicle = await MavsdkVehicle.connect("red", sys.argv[1], time.monotonic, 5.0)
         await vehicle.wait_ready()
         await vehicle.enter_offboard()
         guard.arm(vehicle.hold_unless_taken_over)
@@ -176,7 +176,9 @@ def test_an_app_stuck_in_mid_maneuver_ends_and_the_drones_own_failsafe_holds_it_
     async def run() -> None:
         async with connected(url) as vehicle:
             held = await vehicle.wait_for(
-                lambda t: t.flight_mode == "HOLD" and t.velocity is not None and t.velocity.norm < 0.3, 5.0, "rest"
+                lambda t: t.flight_mode == FlightMode.HOLD and t.velocity is not None and t.velocity.norm < 0.3,
+                5.0,
+                "rest",
             )
             assert held.local is not None
             assert held.local.minus(start).norm < 1.0 + 2 * held.sigma_h_m
@@ -192,7 +194,7 @@ def test_takeoff_climbs_and_ends_in_hold_and_is_refused_in_the_air(fleet: FleetP
                 await vehicle.takeoff(math.nan)
             await vehicle.takeoff(3.0)
             flying = vehicle.telemetry()
-            assert flying.in_air and flying.flight_mode == "HOLD"
+            assert flying.in_air and flying.flight_mode == FlightMode.HOLD
             assert flying.local is not None and flying.local.down == pytest.approx(-3.0, abs=1.0)
             with pytest.raises(VehicleError, match="stand on the ground"):
                 await vehicle.takeoff(3.0)
@@ -205,7 +207,7 @@ def test_a_mission_is_held_and_resumed_and_where_there_is_none_the_reason_is_tol
         async with connected(fleet.vehicles["blue"], "blue") as vehicle:
             assert vehicle.telemetry().flight_mode == "MISSION"
             await vehicle.hold()
-            await vehicle.wait_for(lambda t: t.flight_mode == "HOLD", 3.0, "Hold")
+            await vehicle.wait_for(lambda t: t.flight_mode == FlightMode.HOLD, 3.0, "Hold")
             await vehicle.resume_mission()
             await vehicle.wait_for(lambda t: t.flight_mode == "MISSION", 3.0, "the mission")
         async with connected(fleet.vehicles["red"]) as vehicle:
@@ -235,7 +237,7 @@ def test_px4s_failsafe_defaults_are_found_on_the_vehicle_and_mended(fleet: Fleet
 
 
 def test_setpoints_are_position_and_yaw_only_and_reach_the_vehicle_at_once() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         costs_s = []
         for step in range(100):
             began_s = time.perf_counter()
@@ -256,7 +258,7 @@ def test_setpoints_are_position_and_yaw_only_and_reach_the_vehicle_at_once() -> 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_setpoint_that_is_not_finite_is_never_sent(bad: float, axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[object] = []
-    vehicle = Vehicle.__new__(Vehicle)
+    vehicle = MavsdkVehicle.__new__(MavsdkVehicle)
     vehicle.colour = "red"
     vehicle._offboard = type("Offboard", (), {"set_position_ned": lambda _, setpoint: sent.append(setpoint)})()
     values = [1.0, 2.0, -3.0, 90.0]
@@ -269,7 +271,7 @@ def test_a_setpoint_that_is_not_finite_is_never_sent(bad: float, axis: int, monk
 
 
 def test_offboard_starts_at_the_present_position_not_at_a_remembered_one() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         vehicle.set_position_ned(Ned(3.0, 2.0, -10.0), 30.0)
         await vehicle.hold()
@@ -284,7 +286,7 @@ def test_offboard_starts_at_the_present_position_not_at_a_remembered_one() -> No
 
 
 def test_offboard_denied_at_first_for_want_of_setpoints_is_asked_for_again() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         assert autopilot.mode_commands.count(OFFBOARD) == 3
 
@@ -292,7 +294,7 @@ def test_offboard_denied_at_first_for_want_of_setpoints_is_asked_for_again() -> 
 
 
 def test_a_refusal_carries_the_reason_that_the_autopilot_gave_in_words() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         with pytest.raises(VehicleError) as refusal:
             await vehicle.hold()
         text = str(refusal.value)
@@ -306,10 +308,10 @@ def test_a_refusal_carries_the_reason_that_the_autopilot_gave_in_words() -> None
 
 
 def test_somebody_elses_takeover_is_seen_and_not_fought_by_the_guards_hold() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         autopilot.mode = POSCTL
-        await vehicle.wait_for(lambda t: t.flight_mode == "POSCTL", 2.0, "the takeover")
+        await vehicle.wait_for(lambda t: t.flight_mode == FlightMode.POSITION, 2.0, "the takeover")
         commands = len(autopilot.mode_commands)
         vehicle.hold_unless_taken_over(1.0)
         assert (autopilot.mode, len(autopilot.mode_commands)) == (POSCTL, commands)
@@ -320,7 +322,7 @@ def test_somebody_elses_takeover_is_seen_and_not_fought_by_the_guards_hold() -> 
 
 
 def test_a_silent_link_is_seen_by_its_age_and_what_was_known_becomes_unknown() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         autopilot.silent = True
         await until(lambda: vehicle.telemetry().link_age_s(time.monotonic()) > 0.5)
         assert vehicle.here() is None
@@ -333,7 +335,7 @@ def test_a_silent_link_is_seen_by_its_age_and_what_was_known_becomes_unknown() -
         assert time.monotonic() - began_s < 1.0
         with pytest.raises(VehicleError, match="no answer to Hold"):
             await vehicle.hold()
-        await until(lambda: vehicle.telemetry().flight_mode == "UNKNOWN")
+        await until(lambda: vehicle.telemetry().flight_mode == FlightMode.UNKNOWN)
         lost = vehicle.telemetry()
         assert (lost.armed, lost.in_air, lost.healthy, lost.unhealthy) == (None, None, False, ("no health report",))
         assert math.isnan(lost.sigma_h_m) and math.isnan(lost.sigma_v_m)
@@ -344,7 +346,7 @@ def test_a_silent_link_is_seen_by_its_age_and_what_was_known_becomes_unknown() -
 
 
 def test_a_blocked_loop_finds_the_latest_telemetry_not_a_backlog() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         heard: list[Telemetry] = []
         vehicle.on_telemetry(heard.append)
         await until(lambda: bool(heard))
@@ -359,7 +361,7 @@ def test_a_blocked_loop_finds_the_latest_telemetry_not_a_backlog() -> None:
 
 
 def test_the_estimator_is_believed_then_the_receiver_and_neither_is_unknown() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()
         assert (telemetry.sigma_h_m, telemetry.sigma_v_m) == pytest.approx((0.4, 0.6), abs=1e-6)
         autopilot.estimator_m = (math.nan, 2.0)
@@ -374,7 +376,7 @@ def test_the_estimator_is_believed_then_the_receiver_and_neither_is_unknown() ->
 def test_what_is_not_healthy_is_named_and_prevents_a_takeoff(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("m3r_app.vehicle.mavsdk_vehicle.HEALTH_WAIT_S", 0.5)
 
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()
         assert not telemetry.healthy and telemetry.unhealthy == ("magnetometer",)
         with pytest.raises(VehicleError, match="red: not fit to take off: magnetometer"):
@@ -385,14 +387,14 @@ def test_what_is_not_healthy_is_named_and_prevents_a_takeoff(monkeypatch: pytest
 
 
 def test_a_remote_control_is_noticed() -> None:
-    async def test(vehicle: Vehicle, _: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, _: StandIn) -> None:
         await vehicle.wait_for(lambda t: t.rc_present is True, 3.0, "the remote control")
 
     with_stand_in(test, rc_present=True)
 
 
 def test_parameters_keep_their_types_and_a_missing_one_is_told_soon() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         began_s = time.monotonic()
         names = ["COM_OF_LOSS_T", "NOT_THERE", "COM_OBL_RC_ACT", "NOR_THIS", "MINUS"]
         assert await vehicle.parameters(names) == {
@@ -421,7 +423,7 @@ def test_parameters_keep_their_types_and_a_missing_one_is_told_soon() -> None:
 
 
 def test_we_are_a_ground_station() -> None:
-    async def test(_: Vehicle, autopilot: StandIn) -> None:
+    async def test(_: MavsdkVehicle, autopilot: StandIn) -> None:
         await until(lambda: bool(autopilot.hellos))
         assert autopilot.hellos == {(245, 190, 6)}, "MAV_COMP_ID_MISSIONPLANNER, MAV_TYPE_GCS"
 
@@ -431,7 +433,7 @@ def test_we_are_a_ground_station() -> None:
 def test_mavsdk_writes_nothing_to_standard_output_even_of_what_it_cannot_read(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         autopilot.say(b"no \xff UTF-8")
         autopilot.say(b"plain words")
         await until(lambda: [status.text for status in vehicle.status_texts] == ["plain words"])
@@ -445,7 +447,7 @@ def test_mavsdk_writes_nothing_to_standard_output_even_of_what_it_cannot_read(
 
 
 def test_mission_resumes_by_command() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.resume_mission()
         assert autopilot.mode == MISSION
 
@@ -460,7 +462,7 @@ def test_a_vehicle_that_never_answers_is_one_sentence_and_leaves_the_port_free()
         url = f"udpin://127.0.0.1:{free_udp_block(1)}"
         for _ in range(2):
             with pytest.raises(VehicleError, match=f"red: no autopilot answered on {url} within 0.3 s"):
-                await Vehicle.connect("red", url, time.monotonic, 0.3)
+                await MavsdkVehicle.connect("red", url, time.monotonic, 0.3)
 
     asyncio.run(run())
 
@@ -472,15 +474,15 @@ def test_a_port_in_use_is_refused_before_the_other_program_loses_its_telemetry()
             other.bind(("127.0.0.1", 0))
             port = other.getsockname()[1]
             with pytest.raises(VehicleError, match=f"red: UDP port {port} is held by another program"):
-                await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
+                await MavsdkVehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
 
     asyncio.run(run())
 
 
 def test_two_vehicles_of_ours_cannot_share_a_port() -> None:
-    async def test(vehicle: Vehicle, _: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, _: StandIn) -> None:
         with pytest.raises(VehicleError, match=r"green: UDP port .* is held"):
-            await Vehicle.connect("green", vehicle.url, time.monotonic, 1.0)
+            await MavsdkVehicle.connect("green", vehicle.url, time.monotonic, 1.0)
 
     with_stand_in(test)
 
@@ -489,7 +491,7 @@ def test_two_vehicles_on_one_link_are_refused_for_one_might_be_taken_for_the_oth
     async def run() -> None:
         port = free_udp_block(1)
         with StandIn(port, system_id=1), StandIn(port, system_id=2):
-            vehicle = await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
+            vehicle = await MavsdkVehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
             try:
                 with pytest.raises(VehicleError, match="red: more than one vehicle answers"):
                     await vehicle.wait_ready()
@@ -502,26 +504,26 @@ def test_two_vehicles_on_one_link_are_refused_for_one_might_be_taken_for_the_oth
 @pytest.mark.parametrize("url", ["nonsense", "udp://:14540", "serial:///dev/does-not-exist:57600"])
 def test_a_bad_link_is_one_sentence(url: str) -> None:
     with pytest.raises(VehicleError) as refusal:
-        asyncio.run(Vehicle.connect("red", url, time.monotonic, 1.0))
+        asyncio.run(MavsdkVehicle.connect("red", url, time.monotonic, 1.0))
     assert str(refusal.value).startswith("red: ") and url in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def test_a_cancelled_connect_lets_go_of_the_port() -> None:
     async def run() -> None:
         url = f"udpin://127.0.0.1:{free_udp_block(1)}"
-        connecting = asyncio.create_task(Vehicle.connect("red", url, time.monotonic, 30.0))
+        connecting = asyncio.create_task(MavsdkVehicle.connect("red", url, time.monotonic, 30.0))
         await asyncio.sleep(0.2)
         connecting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await connecting
         with pytest.raises(VehicleError, match="no autopilot answered"):
-            await Vehicle.connect("red", url, time.monotonic, 0.2)
+            await MavsdkVehicle.connect("red", url, time.monotonic, 0.2)
 
     asyncio.run(run())
 
 
 def test_after_closing_commands_are_refused_and_late_callbacks_do_no_harm() -> None:
-    async def test(vehicle: Vehicle, _: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, _: StandIn) -> None:
         await vehicle.close()
         await vehicle.close()
         with pytest.raises(VehicleError, match="after the link was closed"):
@@ -549,7 +551,7 @@ async def quiet(autopilot: StandIn) -> None:
 def test_a_remembered_setpoint_is_sent_again_until_it_is_let_go() -> None:
     """MAVSDK repeats it at 20 Hz: the test would not notice silence that was there before."""
 
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         await asyncio.sleep(0.2)
         before = len(autopilot.setpoints)
@@ -562,13 +564,13 @@ def test_a_remembered_setpoint_is_sent_again_until_it_is_let_go() -> None:
 
 
 def test_let_go_in_hold_is_seen_and_silent() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         await vehicle.leave_in_hold()
-        assert vehicle.telemetry().flight_mode == "HOLD"
+        assert vehicle.telemetry().flight_mode == FlightMode.HOLD
         await quiet(autopilot)
         await vehicle.enter_offboard()
-        assert vehicle.telemetry().flight_mode == "OFFBOARD", "and it can be taken again"
+        assert vehicle.telemetry().flight_mode == FlightMode.OFFBOARD, "and it can be taken again"
 
     with_stand_in(test)
 
@@ -576,7 +578,7 @@ def test_let_go_in_hold_is_seen_and_silent() -> None:
 def test_let_go_while_the_link_is_cut_is_silent_and_holds_when_it_returns() -> None:
     """PX4 goes back to Offboard by itself as long as setpoints come: after a cut too, none may."""
 
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         autopilot.silent = True
         letting_go = asyncio.create_task(vehicle.leave_in_hold())
@@ -592,10 +594,10 @@ def test_let_go_while_the_link_is_cut_is_silent_and_holds_when_it_returns() -> N
 
 
 def test_whoever_took_over_is_not_fought_by_letting_go() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.enter_offboard()
         autopilot.mode = POSCTL
-        await vehicle.wait_for(lambda t: t.flight_mode == "POSCTL", 3.0, "the takeover")
+        await vehicle.wait_for(lambda t: t.flight_mode == FlightMode.POSITION, 3.0, "the takeover")
         autopilot.mode_commands.clear()
         await vehicle.leave_in_hold()
         assert autopilot.mode_commands == []
@@ -609,7 +611,7 @@ def test_whoever_took_over_is_not_fought_by_letting_go() -> None:
 
 @pytest.mark.parametrize("claimed", [3, 12, 0])
 def test_a_gimbal_that_claims_to_be_an_autopilot_is_not_believed(claimed: int) -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         modes: set[str] = set()
         vehicle.on_telemetry(lambda t: modes.add(t.flight_mode))
         await vehicle.enter_offboard()
@@ -617,7 +619,7 @@ def test_a_gimbal_that_claims_to_be_an_autopilot_is_not_believed(claimed: int) -
         await vehicle.enter_offboard()
         await asyncio.sleep(1.0)
         await vehicle.hold()
-        assert modes <= {"HOLD", "OFFBOARD"}
+        assert modes <= {FlightMode.HOLD, FlightMode.OFFBOARD}
         assert vehicle.telemetry().armed is True
 
     with_stand_in(test, gimbal=claimed)
@@ -626,7 +628,7 @@ def test_a_gimbal_that_claims_to_be_an_autopilot_is_not_believed(claimed: int) -
 def test_what_it_does_not_say_is_unknown() -> None:
     """Whether it stands, above all: a link that was cut is no landing."""
 
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         assert vehicle.telemetry().in_air is True
         autopilot.landed_unknown = True
         await vehicle.wait_for(lambda t: t.in_air is None, 5.0, "not knowing")
@@ -637,7 +639,7 @@ def test_what_it_does_not_say_is_unknown() -> None:
 
 
 def test_an_autopilot_that_starts_anew_is_noticed() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await asyncio.sleep(0.5)
         assert vehicle.telemetry().restarts == 0
         autopilot.boots += 1
@@ -648,14 +650,14 @@ def test_an_autopilot_that_starts_anew_is_noticed() -> None:
 
 @pytest.mark.parametrize(("every", "low_hz", "high_hz"), [(1, 40.0, 55.0), (12, 3.5, 4.8)])
 def test_the_rate_of_positions_is_measured(every: int, low_hz: float, high_hz: float) -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.wait_for(lambda t: low_hz < t.rate_hz < high_hz, 5.0, f"{low_hz} to {high_hz} Hz")
 
     with_stand_in(test, every=every)
 
 
 def test_home_and_rangefinder_are_heard() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         await vehicle.wait_for(lambda t: t.home == Geodetic(47.0, 8.0, 500.0), 3.0, "home")
         await vehicle.wait_for(lambda t: t.ground_distance_m == pytest.approx(7.25), 3.0, "the rangefinder")
         autopilot.rangefinder_m = None
@@ -668,7 +670,7 @@ def test_a_lost_answer_is_no_missing_parameter() -> None:
     """Half of all messages are lost each way. What exists answers in the end; what does not is still told."""
     there: dict[str, float | int] = {"SYS_AUTOSTART": 4001, **FAILSAFE}
 
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         autopilot.loss = 0.5
         values = await vehicle.parameters(list(FAILSAFE))
         autopilot.loss = 0.0
@@ -680,7 +682,7 @@ def test_a_lost_answer_is_no_missing_parameter() -> None:
 
 
 def test_a_parameter_that_does_not_answer_is_told_from_one_that_does_not_exist() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         assert (await vehicle.parameters(["NOT_THERE"]))["NOT_THERE"] is None
         autopilot.silent = True
         assert math.isnan((await vehicle.parameters(["COM_OF_LOSS_T"]))["COM_OF_LOSS_T"] or 0.0)
@@ -689,7 +691,7 @@ def test_a_parameter_that_does_not_answer_is_told_from_one_that_does_not_exist()
 
 
 def test_what_a_drone_says_moves_no_cursor() -> None:
-    async def test(vehicle: Vehicle, autopilot: StandIn) -> None:
+    async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         autopilot.say(b"\x1b[2J\x1b]0;owned\x07low \xe2\x80\xae battery\r\n")
         await until(lambda: bool(vehicle.status_texts))
         said = vehicle.status_texts[-1].text
@@ -699,7 +701,7 @@ def test_what_a_drone_says_moves_no_cursor() -> None:
     with_stand_in(test)
 
 
-async def ready_until(deadline_s: float, vehicle: Vehicle) -> None:
+async def ready_until(deadline_s: float, vehicle: MavsdkVehicle) -> None:
     """Ask again and again: both must have been heard."""
     while time.monotonic() < deadline_s:
         await vehicle.wait_ready()
@@ -709,7 +711,7 @@ def test_two_autopilots_on_one_link_are_both_named() -> None:
     async def run() -> None:
         port = free_udp_block(1)
         with StandIn(port, 7), StandIn(port, 9):
-            vehicle = await Vehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
+            vehicle = await MavsdkVehicle.connect("red", f"udpin://127.0.0.1:{port}", time.monotonic, 5.0)
             try:
                 with pytest.raises(VehicleError, match="system ids 7 and 9"):
                     await ready_until(time.monotonic() + 10.0, vehicle)
@@ -723,9 +725,9 @@ def test_nothing_is_left_in_the_temporary_directory(tmp_path: Path) -> None:
     with FleetProcess(PLAIN, 1) as running:
         script = textwrap.dedent("""
             import asyncio, sys, time
-            from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+            from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
             async def main():
-                vehicle = await Vehicle.connect("red", sys.argv[1], time.monotonic)
+                vehicle = await MavsdkVehicle.connect("red", sys.argv[1], time.monotonic)
                 await vehicle.wait_ready()
                 await vehicle.close()
             asyncio.run(main())

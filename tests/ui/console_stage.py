@@ -14,7 +14,17 @@ from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.snapshot import Craft, Picture
 from safety.limits import Limits
-from safety.vocabulary import Anchor, Command, ManeuverRequest, Modality, Ned, Neighbours, State, VehicleState
+from safety.vocabulary import (
+    Anchor,
+    Command,
+    FlightMode,
+    ManeuverRequest,
+    Modality,
+    Ned,
+    Neighbours,
+    State,
+    VehicleState,
+)
 from ui.console.app import Console
 
 SMALL, LARGE = (80, 24), (140, 45)
@@ -66,7 +76,7 @@ class Stage:
 
 
 def craft(name: str, place: Ned | None, **changes: Any) -> Craft:
-    whole = Craft(name, place, Ned(0.0, 0.0, 0.0), 180.0, 0.3, 0.1, 0.1, 0.8, "HOLD", in_air=True, ours=True)
+    whole = Craft(name, place, Ned(0.0, 0.0, 0.0), 180.0, 0.3, 0.1, 0.1, 0.8, FlightMode.HOLD, in_air=True, ours=True)
     return replace(whole, **changes)
 
 
@@ -85,7 +95,7 @@ def flying_picture(setting: Setting, *, paired: bool = True, state: State = Stat
         0.3,
         healthy=True,
         in_air=True,
-        flight_mode="HOLD",
+        flight_mode=FlightMode.HOLD,
         battery=0.8,
     )
     arbiter = ArbiterState(

@@ -17,7 +17,7 @@ from m3r_app.snapshot import NOWHERE_M, Craft, Picture, margins
 from m3r_app.snapshot import craft as craft_of
 from m3r_app.vehicle.telemetry import NEVER_HEARD
 from safety.limits import Limits
-from safety.vocabulary import Anchor, Geodetic, Ned
+from safety.vocabulary import Anchor, FlightMode, Geodetic, Ned
 from ui.console.drawing import ARROWS, Asked, Window, caption, from_above, from_side, nice_step, reach_of_all
 
 HERE = Ned(14.0, 0.0, -6.0)
@@ -29,7 +29,7 @@ def setting() -> Setting:
 
 
 def craft(name: str, place: Ned | None, **changes: object) -> Craft:
-    whole = Craft(name, place, Ned(0.0, 0.0, 0.0), 0.0, 0.3, 0.1, 0.1, 0.8, "HOLD", in_air=True, ours=True)
+    whole = Craft(name, place, Ned(0.0, 0.0, 0.0), 0.0, 0.3, 0.1, 0.1, 0.8, FlightMode.HOLD, in_air=True, ours=True)
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 

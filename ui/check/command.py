@@ -164,11 +164,11 @@ def _vehicles(wanted: Wanted) -> Iterator[Finding]:
 async def _answer(colour: str, url: str) -> Finding:
     """Whether a vehicle answers, and what it says of itself. Nothing is commanded."""
     from m3r_app.vehicle.interface import VehicleError
-    from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+    from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 
     part = f"vehicle {colour}"
     try:
-        vehicle = await Vehicle.connect(colour, url, time.monotonic, VEHICLE_TIMEOUT_S)
+        vehicle = await MavsdkVehicle.connect(colour, url, time.monotonic, VEHICLE_TIMEOUT_S)
         try:
             telemetry = await vehicle.wait_ready(VEHICLE_TIMEOUT_S)
         finally:

@@ -107,7 +107,8 @@ def title(picture: Picture | None, *, dry_run: bool, looking: bool) -> Text:
         text.append(f" {drone.name.capitalize()} ", style=f"bold reverse {ink(drone.name)}")
         text.append(f" {picture.state.mode.value}")
         if drone.position is not None and picture.air_trouble is None:
-            text.append(f"  {-drone.position.down:.1f} m up, {drone.flight_mode.lower()}", style=DIM)
+            mode = drone.flight_mode.lower() if drone.flight_mode is not None else ""
+            text.append(f"  {-drone.position.down:.1f} m up, {mode}", style=DIM)
     if picture.air_trouble is not None:
         text.append(f"  {picture.air_trouble}", style=BROKEN)
     if dry_run:
