@@ -18,7 +18,8 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from m3r_app.airspace.local import Airspace, LocalAirspace
+from m3r_app.airspace.interface import Airspace
+from m3r_app.airspace.local import LocalAirspace
 from m3r_app.arbiter.events import ClaimLost, PairingAnswered, PairingAsked
 from m3r_app.arbiter.state import ArbiterState, Policy, Tally
 from m3r_app.environment.static_scene import stage_of

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections import deque
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any, Literal, Protocol, assert_never
 
-from m3r_app.airspace.local import Airspace
+from m3r_app.airspace.interface import Airspace
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.effects import (
     Effect,
@@ -39,6 +38,7 @@ from m3r_app.arbiter.events import (
 )
 from m3r_app.arbiter.state import ArbiterState
 from m3r_app.arbiter.step import step
+from m3r_app.inbox import Inbox
 from m3r_app.output import AnnounceEvent, Notice, OutputEvent, PairEvent, PairStatus
 from m3r_app.snapshot import craft, margins
 from m3r_app.vehicle.fleet import Fleet
@@ -47,9 +47,8 @@ from m3r_app.vehicle.interface import Vehicle, VehicleError
 from m3r_app.vehicle.motion_controller import MotionController
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
-from safety.vocabulary import Anchor, Command, FlightMode, ManeuverRequest, Ned, Neighbours, VehicleState
+from safety.vocabulary import Anchor, FlightMode, ManeuverRequest, Ned, Neighbours, VehicleState
 
-INBOX = 512
 TICK_S = 0.1
 MARGINS_S = 0.5
 NEWS_S = 0.02
@@ -58,46 +57,6 @@ MODE_LAG_S = 0.2
 """A flight mode that was reported earlier than this after we changed it may be the old one."""
 JUMP_M = 0.5
 """The two forms of the vehicle's position may differ by this; more, and its local origin has moved."""
-
-
-class Inbox:
-    """The one bounded queue. STOP goes before everything else; of telemetry the oldest is dropped when it is full."""
-
-    def __init__(self, size: int = INBOX) -> None:
-        self._urgent: deque[Event] = deque()
-        self._waiting: deque[Event] = deque()
-        self._size = size
-        self._arrived = asyncio.Event()
-        self.dropped = 0
-
-    def put(self, event: Event) -> None:
-        """Never blocks. From the event loop only."""
-        if isinstance(event, Requested) and event.request.command is Command.STOP:
-            self._urgent.append(event)
-        else:
-            self._waiting.append(event)
-            if len(self._waiting) > self._size:
-                self._drop_one()
-        self._arrived.set()
-
-    def _drop_one(self) -> None:
-        self.dropped += 1
-        for event in self._waiting:
-            if isinstance(event, TelemetryArrived | NeighboursHeard | Tick):
-                self._waiting.remove(event)
-                return
-        self._waiting.popleft()
-
-    @property
-    def empty(self) -> bool:
-        return not self._urgent and not self._waiting
-
-    async def get(self) -> Event:
-        """The next event."""
-        while not self._urgent and not self._waiting:
-            self._arrived.clear()
-            await self._arrived.wait()
-        return self._urgent.popleft() if self._urgent else self._waiting.popleft()
 
 
 class Recording(Protocol):

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from m3r_app.airspace.authority import CLAIM_S
 from m3r_app.airspace.credentials import Broker, Credentials
-from m3r_app.airspace.local import Answered
+from m3r_app.airspace.interface import Answered
 from m3r_app.airspace.messages import Answer, AskBody, Capsule, Claim, Free, GiveUp, Held, Place, Reserve, State
 from m3r_app.airspace.signed_channel import Received, SignedChannel
 from m3r_app.airspace.state_publisher import Reported, StatePublisher
@@ -50,7 +50,7 @@ class _Pending:
 
 
 class SharedAirspace:
-    """`m3r_app.airspace.local.Airspace` over a broker, and the neighbours that are heard of there. From one event loop only."""
+    """`m3r_app.airspace.interface.Airspace` over a broker, and the neighbours that are heard of there. From one event loop only."""
 
     def __init__(
         self,
