@@ -1,13 +1,25 @@
-"""The checks before pairing: a pure list of everything that stands against it. Source: X8, P1, design 1, 12; paper III-A."""
+"""Pairing: the checks before it, a pure list of everything that stands against it, and the procedure that makes them.
+
+Source: X8, P1, design 1, 12; paper III-A.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from m3r_app.airspace.interface import Airspace
+from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.heights import disagreements
+from m3r_app.output import Announcing, Notice
+from m3r_app.run_setup import Setting
+from m3r_app.vehicle import px4_failsafe
+from m3r_app.vehicle.fleet import Fleet
+from m3r_app.vehicle.guard import Guard
+from m3r_app.vehicle.interface import ObservedVehicle, VehicleError
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.confidence import confidence_of
 from safety.constraints import RULES, findings, nearby
@@ -24,6 +36,9 @@ WHERE_IT_STANDS = frozenset(
 """Constraints that a drone must keep where it hovers, and where a take-off will bring it."""
 REPORTS = 3.0
 """So many positions must come in the time after which the last is too old: one may be late, and one lost."""
+SETTLE_S = 10.0
+"""So long a drone may take to come to rest in Hold."""
+NO_OPERATOR = "the operator's position is unknown; give --operator LAT,LON,AMSL"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,3 +162,100 @@ def _distance(
 
 def _shown(confidence: float) -> str:
     return f"{confidence:.2f}" if math.isfinite(confidence) else "unknown"
+
+
+class Pairing:
+    """What the effects Pair and CallOffPairing mean. From the event loop only."""
+
+    def __init__(
+        self,
+        setting: Setting,
+        fleet: Fleet,
+        airspace: Airspace,
+        guard: Guard,
+        clock: Callable[[], float],
+        say: Announcing,
+        takeoff_m: float | None = None,
+        *,
+        apply_failsafe: bool = False,
+    ) -> None:
+        """takeoff_m: a drone that stands takes off first, this high; apply_failsafe: set the required parameters first."""
+        self._setting = setting
+        self._fleet = fleet
+        self._airspace = airspace
+        self._guard = guard
+        self._clock = clock
+        self._say = say
+        self._takeoff_m = takeoff_m
+        self._failsafe = px4_failsafe.apply if apply_failsafe else px4_failsafe.check
+        settings = setting.settings
+        self._limits = PairingLimits(
+            settings.pairing.range_m, settings.pairing.operator_sigma_max_m, settings.battery == "unknown"
+        )
+
+    async def pair(self, colour: str) -> PairingAnswered:
+        """Check everything, and leave the drone at rest in Hold and claimed for us; or say what is against it."""
+        reasons: tuple[str, ...] = ("pairing was called off",)
+        try:
+            reasons = await self._objections(colour)
+        except VehicleError as error:
+            reasons = (str(error),)
+        finally:
+            if reasons:
+                self._airspace.give_up(colour)
+        return PairingAnswered(colour, reasons, self._setting.operator, self._setting.world)
+
+    async def call_off(self, colour: str) -> PairingAnswered:
+        """A take-off that was begun for it ends in Hold. The arbiter knows why it is off. Source: X4."""
+        commander = self._fleet.commanders.get(colour)
+        try:
+            if commander is not None:
+                await commander.stop()
+        except VehicleError as error:
+            self._say(str(error), Notice.VEHICLE_ERROR)
+        return PairingAnswered(colour, ())
+
+    async def against(self, vehicle: ObservedVehicle, takeoff_m: float | None) -> tuple[str, ...]:
+        """Everything against pairing; takeoff_m: before a take-off, all that can be known on the ground. Source: X8."""
+        setting = self._setting
+        if setting.operator is None:
+            return (NO_OPERATOR,)
+        await vehicle.wait_measured()
+        told = vehicle.telemetry()
+        found = objections(
+            told,
+            setting.frame,
+            setting.operator,
+            setting.world,
+            setting.limits,
+            self._limits,
+            self._clock(),
+            takeoff_m,
+        )
+        return (*found, *(m.text for m in await self._failsafe(vehicle, told.rc_present)))
+
+    async def _objections(self, colour: str) -> tuple[str, ...]:
+        setting, commander = self._setting, self._fleet.commanders.get(colour)
+        if commander is None:
+            return (f"there is no such drone; there are {', '.join(self._fleet.vehicles)}",)
+        if not self._guard.ready:
+            return ("the guard process is not running, so nothing may be flown",)
+        if setting.operator is None:
+            return (NO_OPERATOR,)
+        held = await self._airspace.claim(colour, setting.frame.geodetic(setting.operator.position))
+        if held is not None:
+            return (held,)
+        vehicle = commander.vehicle
+        await vehicle.wait_ready(setting.settings.pairing.answer_s)
+        if self._takeoff_m is not None and vehicle.telemetry().in_air is False:
+            found = await self.against(vehicle, self._takeoff_m)
+            if found:
+                return found
+            self._say(f"{colour.capitalize()}: taking off to {self._takeoff_m:g} m", Notice.TAKING_OFF)
+            await commander.take_off(self._takeoff_m)
+        found = await self.against(vehicle, None)
+        if found:
+            return found
+        await commander.hold()
+        await vehicle.wait_settled(SETTLE_S)
+        return ()

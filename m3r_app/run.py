@@ -20,29 +20,28 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from m3r_app.airspace.interface import Airspace
 from m3r_app.airspace.local import LocalAirspace
-from m3r_app.arbiter.events import ClaimLost, PairingAnswered, PairingAsked
+from m3r_app.arbiter.events import ClaimLost, Event, PairingAsked
 from m3r_app.arbiter.state import ArbiterState, Policy, Tally
 from m3r_app.environment.static_scene import stage_of
 from m3r_app.exit_status import ExitStatus
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.options import RunOptions
 from m3r_app.output import AnnounceEvent, EndEvent, EndReason, Notice, OutputEvent, Told, fields_of, known
-from m3r_app.pairing import PairingLimits, objections
+from m3r_app.pairing import Pairing
 from m3r_app.record.recorder import Recorder
 from m3r_app.run_setup import Setting, prepare
 from m3r_app.runtime import Recording, Shell, request_event
 from m3r_app.sim.process import SimulatedFleet
 from m3r_app.snapshot import Taken
 from m3r_app.takeoff_landing import GroundWork
-from m3r_app.vehicle import px4_failsafe
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.interface import Links, Vehicle, VehicleError
+from m3r_app.vehicle.interface import Links, VehicleError
 from modalities.hands.gestures import Hand
 from modalities.notices import SenseChange
 from modalities.voice.push_to_talk import PushToTalk
 from modalities.voice.self_speech import SelfSpeech
-from safety.vocabulary import Command, ManeuverRequest, State
+from safety.vocabulary import ManeuverRequest, State
 
 if TYPE_CHECKING:
     from m3r_app.record.foxglove_server import Viewer
@@ -52,7 +51,6 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 LOST_S = 5.0
 HELD_S = 5.0
 """So long in EmergencyHold without an approved way back, the drone rests."""
-SETTLE_S = 10.0
 LAST_HOLD_S = 3.0
 T = TypeVar("T")
 Emit = Callable[[Told], None]
@@ -106,8 +104,6 @@ class Run:
         self._emit = emit
         self._sinks: list[Recorder | Viewer] = []
         self.shell: Shell | None = None
-        self.ground: GroundWork | None = None
-        """What takes off and lands, once there is a fleet."""
 
     # ------------------------------------------------------------ output
 
@@ -126,12 +122,13 @@ class Run:
             sink.record(topic, t_s - self.started_s, data)
 
     def take(self, request: ManeuverRequest) -> None:
-        """A request of any modality. STOP also ends a take-off or landing, which are no maneuvers. Source: X4."""
-        if self.shell is None:
-            return
-        if self.ground is not None and request.command is Command.STOP:
-            self.ground.stop()
-        self.shell.inbox.put(request_event(request))
+        """A request of any modality."""
+        self.put(request_event(request))
+
+    def put(self, event: Event) -> None:
+        """What somebody asks or tells; before there is a fleet, nobody hears it."""
+        if self.shell is not None:
+            self.shell.inbox.put(event)
 
     def refuse_to_suspend(self) -> None:
         self.announce("a drone may depend on this app, so it cannot be suspended: end it with Ctrl-C")
@@ -202,20 +199,15 @@ class Run:
             stack.callback(guard.close)
             airspace = await self._airspace(setting, fleet, stack)
             shell = self.shell = self._shell(setting, fleet, guard, airspace)
-            self.ground = GroundWork(
-                shell,
-                self.announce,
-                lambda vehicle, metres: self._against(setting, vehicle, metres),
-            )
             stack.push_async_callback(shell.close)
-            stack.push_async_callback(shell.leave_in_hold, LAST_HOLD_S)
+            stack.push_async_callback(shell.end, LAST_HOLD_S)
             async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
                 playing = asyncio.create_task(self._play(shell, inputs))
                 background.add(playing)
                 done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
                     task.result()
-                await shell.leave_in_hold(LAST_HOLD_S)
+                await shell.end(LAST_HOLD_S)
         return EndReason.INPUTS_PLAYED
 
     # ------------------------------------------------------------ before flying
@@ -282,9 +274,16 @@ class Run:
             settings.position_lost,
         )
 
-        async def pair(shell: Shell, colour: str) -> None:
-            await self._pair(setting, shell, colour)
-
+        pairing = Pairing(
+            setting,
+            fleet,
+            airspace,
+            guard,
+            self.clock,
+            self.announce,
+            self.options.takeoff_m,
+            apply_failsafe=self.options.apply_failsafe,
+        )
         recording: Recording = self
         return Shell(
             ArbiterState(setting.limits, policy),
@@ -295,71 +294,11 @@ class Run:
             self.clock,
             self.emit,
             recording,
-            pair,
+            pairing,
+            GroundWork(fleet.commanders, airspace, setting.frame.origin, self.announce, pairing.against),
             declared_empty=settings.neighbours == "none",
             battery_may_be_unknown=settings.battery == "unknown",
         )
-
-    # ------------------------------------------------------------ pairing
-
-    async def _pair(self, setting: Setting, shell: Shell, colour: str) -> None:
-        """The checks before pairing; the answer goes to the arbiter. Source: X8, design 12."""
-        reasons: tuple[str, ...] = ("pairing was called off",)
-        try:
-            reasons = await self._objections(setting, shell, colour)
-        except VehicleError as error:
-            reasons = (str(error),)
-        finally:
-            if reasons:
-                shell.airspace.give_up(colour)
-        shell.inbox.put(PairingAnswered(colour, reasons, setting.operator, setting.world))
-
-    async def _objections(self, setting: Setting, shell: Shell, colour: str) -> tuple[str, ...]:
-        vehicle = shell.fleet.vehicles.get(colour)
-        if vehicle is None:
-            return (f"there is no such drone; there are {', '.join(shell.fleet.vehicles)}",)
-        if not shell.guard.ready:
-            return ("the guard process is not running, so nothing may be flown",)
-        if setting.operator is None:
-            return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
-        await shell.let_go()
-        held = await shell.airspace.claim(colour, setting.frame.geodetic(setting.operator.position))
-        if held is not None:
-            return (held,)
-        await vehicle.wait_ready(setting.settings.pairing.answer_s)
-        takeoff_m = self.options.takeoff_m
-        if takeoff_m is not None and vehicle.telemetry().in_air is False:
-            found = await self._against(setting, vehicle, takeoff_m)
-            if found:
-                return found
-            self.announce(f"{colour.capitalize()}: taking off to {takeoff_m:g} m", Notice.TAKING_OFF)
-            await vehicle.takeoff(takeoff_m)
-        found = await self._against(setting, vehicle, None)
-        if found:
-            return found
-        await vehicle.hold()
-        await vehicle.wait_settled(SETTLE_S)
-        shell.take_vehicle(vehicle)
-        first = self.clock()
-        await vehicle.wait_for(lambda t: t.at_s > first, SETTLE_S, "fresh telemetry")
-        shell.inbox.put(shell.surroundings(self.clock()))
-        return ()
-
-    async def _against(self, setting: Setting, vehicle: Vehicle, takeoff_m: float | None) -> tuple[str, ...]:
-        """Everything against pairing; takeoff_m: before a take-off, all that can be known on the ground. Source: X8."""
-        if setting.operator is None:
-            return ("the operator's position is unknown; give --operator LAT,LON,AMSL",)
-        settings = setting.settings
-        pairing = PairingLimits(
-            settings.pairing.range_m, settings.pairing.operator_sigma_max_m, settings.battery == "unknown"
-        )
-        await vehicle.wait_measured()
-        told = vehicle.telemetry()
-        found = objections(
-            told, setting.frame, setting.operator, setting.world, setting.limits, pairing, self.clock(), takeoff_m
-        )
-        check = px4_failsafe.apply if self.options.apply_failsafe else px4_failsafe.check
-        return (*found, *(m.text for m in await check(vehicle, told.rc_present)))
 
     # ------------------------------------------------------------ flying
 

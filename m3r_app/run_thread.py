@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from m3r_app.arbiter.events import LandingAsked, TakeOffAsked
 from m3r_app.options import RunOptions
 from m3r_app.run import Emit, Run
 from m3r_app.snapshot import Picture, craft, heard_of
@@ -78,11 +79,11 @@ class Live:
 
     def take_off(self, colour: str, metres: float) -> None:
         """Take off to `metres` and hold there. Confirmed by whoever calls; only in NormalAutonomy (design 15)."""
-        self._post(lambda run: run.ground.take_off(colour, metres) if run.ground is not None else None)
+        self._post(lambda run: run.put(TakeOffAsked(colour, metres)))
 
     def land(self, colour: str) -> None:
         """Land where it is. Confirmed by whoever calls; only in NormalAutonomy (design 15)."""
-        self._post(lambda run: run.ground.land(colour) if run.ground is not None else None)
+        self._post(lambda run: run.put(LandingAsked(colour)))
 
     def talk(self) -> None:
         """Open or close a push-to-talk microphone; without one, nothing."""

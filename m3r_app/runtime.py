@@ -12,16 +12,23 @@ from typing import Any, Literal, Protocol, assert_never
 from m3r_app.airspace.interface import Airspace
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.effects import (
+    AnchorMoved,
+    CallOffGroundWork,
+    CallOffPairing,
     Effect,
     FaceOperator,
     Fly,
+    GiveUp,
     Hold,
     ImpossibleTransition,
+    Land,
     LetGo,
     Pair,
+    PlayTune,
     Release,
     Report,
     Reserve,
+    TakeOff,
 )
 from m3r_app.arbiter.events import (
     ClaimLost,
@@ -29,7 +36,6 @@ from m3r_app.arbiter.events import (
     Event,
     FrameMoved,
     NeighboursHeard,
-    PairingAnswered,
     Requested,
     ReservationAnswered,
     Stalled,
@@ -40,23 +46,24 @@ from m3r_app.arbiter.state import ArbiterState
 from m3r_app.arbiter.step import step
 from m3r_app.inbox import Inbox
 from m3r_app.output import AnnounceEvent, Notice, OutputEvent, PairEvent, PairStatus
+from m3r_app.pairing import Pairing
+from m3r_app.session_frame import in_session_frame
 from m3r_app.snapshot import craft, margins
+from m3r_app.takeoff_landing import GroundWork
+from m3r_app.vehicle.commander import Commander
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
-from m3r_app.vehicle.interface import Vehicle, VehicleError
-from m3r_app.vehicle.motion_controller import MotionController
+from m3r_app.vehicle.interface import ObservedVehicle, VehicleError
 from m3r_app.vehicle.telemetry import Telemetry
 from safety.frames import LocalFrame
-from safety.vocabulary import Anchor, FlightMode, ManeuverRequest, Ned, Neighbours, VehicleState
+from safety.vocabulary import FlightMode, ManeuverRequest, Ned, Neighbours
 
 TICK_S = 0.1
 MARGINS_S = 0.5
 NEWS_S = 0.02
 """News of neighbours are not looked at more often than this."""
-MODE_LAG_S = 0.2
-"""A flight mode that was reported earlier than this after we changed it may be the old one."""
-JUMP_M = 0.5
-"""The two forms of the vehicle's position may differ by this; more, and its local origin has moved."""
+FRESH_S = 10.0
+"""So long a drone that has been taken may take to be heard."""
 
 
 class Recording(Protocol):
@@ -78,22 +85,20 @@ class Shell:
         clock: Callable[[], float],
         emit: Callable[[OutputEvent], None],
         recording: Recording,
-        pair: Callable[[Shell, str], Coroutine[Any, Any, None]],
+        pairing: Pairing,
+        ground_work: GroundWork,
         declared_empty: bool,
         battery_may_be_unknown: bool = False,
     ) -> None:
-        """pair: the procedure that answers a Pair effect; declared_empty: fly without neighbour data, as declared.
-
-        battery_may_be_unknown: likewise.
-        """
+        """declared_empty: fly without neighbour data, as declared; battery_may_be_unknown: likewise."""
         self.state = state
         self.inbox = Inbox()
         self.fleet = fleet
         self.frame = frame
         self.clock = clock
         self.guard = guard
-        self.controller: MotionController | None = None
-        self.vehicle: Vehicle | None = None
+        self.commander: Commander | None = None
+        """Of the drone whose telemetry is the arbiter's."""
         self.changed = asyncio.Event()
         """Set after every step."""
         self.airspace = airspace
@@ -101,16 +106,17 @@ class Shell:
         """The paired drone's autopilot has started anew: there is nothing left to fly."""
         self._emit = emit
         self._recording = recording
-        self._pair = pair
+        self._pairing = pairing
+        self._ground_work = ground_work
         self._declared_empty = declared_empty
         self._battery_may_be_unknown = battery_may_be_unknown
         self._shift: Ned | None = None
-        self._commanded_at_s = -math.inf
+        self._heard = asyncio.Event()
+        """The drone that has been taken has told where it is."""
         self._margins_at_s = -math.inf
-        self._anchor: Anchor | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._streaming: asyncio.Task[None] | None = None
-        self._pairing: asyncio.Task[None] | None = None
+        self._pairing_task: asyncio.Task[None] | None = None
+        self._ground_task: asyncio.Task[None] | None = None
         self._letting_go: asyncio.Task[None] | None = None
 
     # ------------------------------------------------------------ running
@@ -129,15 +135,6 @@ class Shell:
             self._recording.record("input", now_s, {"kind": type(event).__name__, "event": _recordable(event)})
         for effect in effects:
             self._carry_out(effect, now_s)
-        anchor = self.state.session.anchor if self.state.session is not None else None
-        if anchor is not self._anchor:
-            self._anchor = anchor
-            radius_m = self.state.limits.workspace_m
-            self._recording.record(
-                "anchor", now_s, {"position": anchor.position if anchor else None, "radius_m": radius_m}
-            )
-        if self.state.pairing_off is not None:
-            self._call_off_pairing()
         self.changed.set()
         self.changed.clear()
 
@@ -162,7 +159,7 @@ class Shell:
                 self.inbox.put(self.surroundings(self.clock()))
             await asyncio.sleep(NEWS_S)
 
-    def _record_margins(self, vehicle: Vehicle, now_s: float) -> None:
+    def _record_margins(self, vehicle: ObservedVehicle, now_s: float) -> None:
         """How far every limit is, twice a second, for who reads the record."""
         if now_s - self._margins_at_s < MARGINS_S:
             return
@@ -183,32 +180,24 @@ class Shell:
     async def close(self) -> None:
         """End what runs in the background."""
         self.guard.disarm()
-        if self._streaming is not None:
-            self._streaming.cancel()
-        for task in self._tasks:
+        if self.commander is not None:
+            await self.commander.close()
+        tasks = {*self._tasks, *({self._ground_task} if self._ground_task is not None else ())}
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, *([self._streaming] if self._streaming else []), return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def leave_in_hold(self, within_s: float) -> None:
+    async def end(self, within_s: float) -> None:
         """The last thing: a drone that is ours is told to hold, whatever else went wrong. Source: contract, X3."""
-        vehicle, ours = self.vehicle, self.state.authority
+        commander, ours = self.commander, self.state.authority
         try:
             self.take(Ended("the run is over"))
         finally:
             await self.settled(within_s)
-            if (
-                ours
-                and vehicle is not None
-                and vehicle.telemetry().flight_mode == FlightMode.OFFBOARD
-                and self.controller
-            ):
-                with contextlib.suppress(TimeoutError):  # only where the step above broke
-                    await asyncio.wait_for(vehicle.hold(), within_s)
-
-    async def let_go(self) -> None:
-        """Wait until a drone that was let go is really free."""
-        if self._letting_go is not None:
-            await asyncio.wait({self._letting_go})
+            kept = commander if ours and commander is self.commander else None  # only where the step above broke
+            if kept is not None and kept.vehicle.telemetry().flight_mode is FlightMode.OFFBOARD:
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(kept.hold(), within_s)
 
     async def settled(self, within_s: float) -> None:
         """Wait until the orders given so far have been carried out, at most within_s."""
@@ -227,25 +216,43 @@ class Shell:
                 self._emit(AnnounceEvent(f"{fault} (a fault in m3r)", Notice.FAULT))
             case Report():
                 self._emit(self._with_places(effect.told))
-                confirmed = isinstance(effect.told, PairEvent) and effect.told.status is PairStatus.CONFIRMED
-                if confirmed and self.vehicle is not None:
-                    self._start(self._sound(self.vehicle))
             case Announce():
                 self._emit(AnnounceEvent(effect.text, effect.notice))
             case Pair():
                 self._emit(self._with_places(PairEvent(effect.colour, PairStatus.REQUESTED)))
-                self._pairing = self._start(self._pair(self, effect.colour))
+                self._pairing_task = self._start(self._pair(effect.colour))
+            case CallOffPairing():
+                if self._pairing_task is not None and not self._pairing_task.done():  # else it has answered
+                    self._pairing_task.cancel()
+                    self._start(self._answer(self._pairing.call_off(effect.colour)))
+            case TakeOff():
+                self._ground_task = asyncio.create_task(
+                    self._answer(self._ground_work.take_off(effect.colour, effect.metres))
+                )
+            case Land():
+                self._ground_task = asyncio.create_task(self._answer(self._ground_work.land(effect.colour)))
+            case CallOffGroundWork():
+                if self._ground_task is not None:
+                    self._ground_task.cancel()
+                self._start(self._answer(self._ground_work.call_off(effect.colour)))
+            case GiveUp():
+                self.airspace.give_up(effect.colour)
+            case PlayTune():
+                if self.vehicle is not None:
+                    self._start(self._sound(self.vehicle))
+            case AnchorMoved():
+                self._recording.record("anchor", now_s, {"position": effect.position, "radius_m": effect.radius_m})
             case FaceOperator():
                 self._watch_over()
-                self._order(lambda c: c.face(effect.yaw_deg))
+                self._order(lambda commander: commander.face(effect.yaw_deg))
             case Fly():
                 plan, shift = effect.plan, self._shift
                 self._recording.record("plan", now_s, _plan_fields(effect))
                 if shift is not None:
-                    self._order(lambda c: c.fly(plan, shift))
+                    self._order(lambda commander: commander.fly(plan, shift))
             case Hold():
-                if self.controller is not None:
-                    self.controller.hold()
+                if self.commander is not None:
+                    self.commander.hover()
             case Reserve():
                 self._reserve(effect)
             case Release():
@@ -257,7 +264,7 @@ class Shell:
             case _:
                 assert_never(effect)
 
-    async def _sound(self, vehicle: Vehicle) -> None:
+    async def _sound(self, vehicle: ObservedVehicle) -> None:
         """The audible sign of pairing, on the drone itself; that it was given is recorded. Source: paper III-A."""
         sent = await vehicle.play_tune()
         self._recording.record("tune", self.clock(), {"vehicle": vehicle.colour, "sent": sent})
@@ -276,112 +283,88 @@ class Shell:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    def _call_off_pairing(self) -> None:
-        """STOP or the end came before pairing was through: a take-off that it had begun ends in Hold. Source: X4."""
-        pairing, colour = self._pairing, self.state.pairing or ""
-        self._pairing = None
-        if pairing is None:
-            return
-        pairing.cancel()
+    async def _answer(self, procedure: Coroutine[Any, Any, Event]) -> None:
+        """What the procedure answers goes to the arbiter."""
+        self.inbox.put(await procedure)
 
-        async def hold() -> None:
-            vehicle = self.fleet.vehicles.get(colour)
-            if vehicle is not None and vehicle.telemetry().flight_mode == FlightMode.TAKEOFF:
-                try:
-                    await vehicle.hold()
-                except VehicleError as error:
-                    self._emit(AnnounceEvent(str(error), Notice.VEHICLE_ERROR))
-            self.inbox.put(PairingAnswered(colour, ()))  # the arbiter knows why it is off
-
-        self._start(hold())
-
-    def _order(self, order: Callable[[MotionController], Coroutine[Any, Any, None]]) -> None:
-        """Give the controller an order; if the vehicle refuses, what was to be flown is dropped."""
-        controller = self.controller
-        if controller is None:
+    def _order(self, order: Callable[[Commander], Coroutine[Any, Any, None]]) -> None:
+        """Give an order; if the vehicle refuses, what was to be flown is dropped."""
+        commander = self.commander
+        if commander is None:
             return
 
         async def carry_out() -> None:
-            self._commanded_at_s = self.clock()
             try:
-                await order(controller)
+                await order(commander)
             except VehicleError as error:
                 self.inbox.put(Stalled(str(error)))
-            finally:
-                self._commanded_at_s = self.clock()
 
         self._start(carry_out())
 
     # ------------------------------------------------------------ the paired vehicle
 
-    def take_vehicle(self, vehicle: Vehicle) -> None:
-        """From now on this vehicle's telemetry is the arbiter's, and setpoints go to it."""
-        limits = self.state.limits
-        self.vehicle = vehicle
+    @property
+    def vehicle(self) -> ObservedVehicle | None:
+        """Whose telemetry is the arbiter's."""
+        return self.commander.vehicle if self.commander is not None else None
+
+    async def _pair(self, colour: str) -> None:
+        """Once a drone that was let go is really free: the procedure, then the drone is taken and heard, then the answer."""
+        if self._letting_go is not None:
+            await asyncio.wait({self._letting_go})
+        answer = await self._pairing.pair(colour)
+        if not answer.reasons:
+            try:
+                await self._take_vehicle(self.fleet.commanders[colour])
+            except VehicleError as error:
+                self._let_go("hold")
+                answer = replace(answer, reasons=(str(error),))
+        self.inbox.put(answer)
+
+    async def _take_vehicle(self, commander: Commander) -> None:
+        """From now on this vehicle's telemetry is the arbiter's, and orders go to it. Raises VehicleError."""
+        self.commander = commander
         self._shift = None
-        vehicle.on_telemetry(self._telemetry)
-        self.controller = MotionController(
-            vehicle,
-            self.clock,
-            limits.yaw_rate_deg_s,
-            limits.yaw_acceleration_deg_s2,
-            self._beat,
-            lambda why: self.inbox.put(Stalled(why)),
-            self._sent,
-            limits.lag_s,
-        )
-        self._stream()
+        self._heard.clear()
+        commander.vehicle.on_telemetry(self._telemetry)
+        commander.engage(self.state.limits, self._beat, lambda why: self.inbox.put(Stalled(why)), self._sent)
+        try:
+            async with asyncio.timeout(FRESH_S):
+                await self._heard.wait()
+        except TimeoutError:
+            raise VehicleError(f"{commander.vehicle.colour}: nothing was heard from it for {FRESH_S:g} s.") from None
+        self.inbox.put(self.surroundings(self.clock()))
 
     def _watch_over(self) -> None:
         """We have authority: from now on the guard watches. Source: X3, X7."""
-        if self.vehicle is not None and not self.guard.armed:
-            self.guard.arm(self.vehicle.hold_unless_taken_over)
-
-    def _stream(self) -> None:
-        """Send setpoints until let go. What breaks the sending drops what is flown; then it goes on."""
-        controller = self.controller
-        assert controller is not None
-        self._streaming = asyncio.create_task(controller.run())
-
-        def broken(task: asyncio.Task[None]) -> None:
-            error = None if task.cancelled() else task.exception()
-            if error is None or self.controller is not controller:
-                return
-            controller.disengaged()
-            self.inbox.put(Stalled(f"setpoints could not be sent ({error})"))
-            self._stream()
-
-        self._streaming.add_done_callback(broken)
+        if self.commander is not None and not self.guard.armed:
+            self.guard.arm(self.commander.hold_unless_taken_over)
 
     def _let_go(self, command: str) -> None:
         self.guard.disarm()
-        controller, streaming = self.controller, self._streaming
-        self.controller = self._streaming = None
-        if self.vehicle is not None:
-            self.vehicle.off_telemetry(self._telemetry)
-        let_go, self.vehicle = self.vehicle, None
+        commander, self.commander = self.commander, None
+        if commander is None:
+            return
+        commander.vehicle.off_telemetry(self._telemetry)
+        freed = commander.let_go(command)
 
         async def carry_out() -> None:
             try:
-                if streaming is not None:
-                    streaming.cancel()
-                if controller is not None:
-                    await controller.let_go(command)
+                await freed
             except VehicleError as error:
                 self._emit(AnnounceEvent(str(error), Notice.VEHICLE_ERROR))
             finally:
-                if let_go is not None:
-                    self.airspace.give_up(let_go.colour)  # not before we have stopped flying it
+                self.airspace.give_up(commander.vehicle.colour)  # not before we have stopped flying it
 
         self._letting_go = self._start(carry_out())
 
     def _beat(self) -> None:
-        if self.guard.beat() or self.controller is None or self.vehicle is None:
+        if self.guard.beat() or self.commander is None:
             return
         # The guard has commanded Hold over our head: drop the plan, then let it watch again.
-        self.controller.disengaged()
+        self.commander.disengaged()
         self.inbox.put(Stalled("the guard commanded Hold"))
-        self.guard.arm(self.vehicle.hold_unless_taken_over)
+        self.guard.arm(self.commander.hold_unless_taken_over)
 
     def _sent(self, t_s: float, point: Ned, yaw_deg: float) -> None:
         if self._shift is not None:
@@ -389,63 +372,26 @@ class Shell:
 
     def _telemetry(self, telemetry: Telemetry) -> None:
         """The vehicle's telemetry in the session's frame, to the arbiter."""
-        now_s = self.clock()
-        if telemetry.local is None or telemetry.geodetic is None or telemetry.velocity is None:
+        now_s, commander = self.clock(), self.commander
+        if commander is None:
             return
-        place = self.frame.ned(telemetry.geodetic)
-        if self._shift is None:
-            self._shift = telemetry.local.minus(place)
-        position = telemetry.local.minus(self._shift)
-        if not position.minus(place).norm <= JUMP_M:
-            self._shift = telemetry.local.minus(place)
-            position = place
+        found = in_session_frame(
+            telemetry,
+            self.frame,
+            self._shift,
+            commander.flight_mode(telemetry),
+            unasked_hold=commander.unasked_hold(telemetry) and not self.guard.stalled,
+            battery_may_be_unknown=self._battery_may_be_unknown,
+        )
+        if found is None:
+            return
+        self._shift = found.shift
+        if found.moved:
             self.inbox.put(FrameMoved("its estimator moved its own origin"))
-        state = VehicleState(
-            telemetry.at_s,
-            position,
-            telemetry.velocity,
-            telemetry.yaw_deg,
-            telemetry.yaw_rate_deg_s,
-            telemetry.sigma_h_m,
-            telemetry.sigma_v_m,
-            telemetry.healthy,
-            telemetry.in_air,
-            self._flight_mode(telemetry),
-            math.nan if telemetry.battery is None and not self._battery_may_be_unknown else telemetry.battery,
-            armed=telemetry.armed,
-            mode_at_s=telemetry.mode_at_s,
-            unasked_hold=self._unasked_hold(telemetry),
-            restarts=telemetry.restarts,
-        )
-        self._recording.record(
-            "telemetry",
-            now_s,
-            {
-                **_recordable(state),
-                "vehicle": self.vehicle.colour if self.vehicle else "",
-                "geodetic": telemetry.geodetic,
-            },
-        )
-        self.inbox.put(TelemetryArrived(state))
-
-    def _flight_mode(self, telemetry: Telemetry) -> FlightMode:
-        """The mode as reported, or as commanded while the report is still the old one (it comes once a second)."""
-        controller = self.controller
-        if controller is None:
-            return telemetry.flight_mode
-        if self._mode_is_old(telemetry) and telemetry.flight_mode != FlightMode.UNKNOWN:
-            return FlightMode.OFFBOARD if controller.engaged else FlightMode.HOLD
-        return telemetry.flight_mode
-
-    def _mode_is_old(self, telemetry: Telemetry) -> bool:
-        """Whether the mode may have been told before it was changed by us."""
-        return telemetry.mode_at_s < self._commanded_at_s + MODE_LAG_S
-
-    def _unasked_hold(self, telemetry: Telemetry) -> bool:
-        """Whether it left Offboard for Hold and it was not us: not the guard either, which says so itself. Source: X3."""
-        engaged = self.controller is not None and self.controller.engaged
-        in_hold = telemetry.flight_mode == FlightMode.HOLD and not self._mode_is_old(telemetry)
-        return engaged and in_hold and not self.guard.stalled
+        told = {**_recordable(found.state), "vehicle": commander.vehicle.colour, "geodetic": telemetry.geodetic}
+        self._recording.record("telemetry", now_s, told)
+        self.inbox.put(TelemetryArrived(found.state))
+        self._heard.set()
 
     # ------------------------------------------------------------ reports
 

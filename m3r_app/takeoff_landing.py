@@ -1,97 +1,81 @@
-"""Take-off and landing of a drone that nobody is paired with. They are no maneuvers of the model. Source: design 15."""
+"""Take-off and landing of a drone that nobody is paired with. They are no maneuvers of the model. Source: design 15.
+
+What is asked, called off and over is the arbiter's; here is what becomes of a drone meanwhile, and what the operator is told.
+"""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
 
+from m3r_app.airspace.interface import Airspace
+from m3r_app.arbiter.events import GroundWorkEnded
 from m3r_app.output import Announcing, Notice
-from m3r_app.runtime import Shell
-from m3r_app.vehicle.interface import Vehicle, VehicleError
-from safety.vocabulary import State
-
-HOLD_S = 5.0
+from m3r_app.vehicle.commander import Commander
+from m3r_app.vehicle.interface import ObservedVehicle, VehicleError
+from safety.vocabulary import Geodetic
 
 
 class GroundWork:
-    """One take-off or landing at a time; STOP ends it in Hold. From the event loop only."""
+    """What the effects TakeOff, Land and CallOffGroundWork mean. From the event loop only."""
 
     def __init__(
         self,
-        shell: Shell,
+        commanders: Mapping[str, Commander],
+        airspace: Airspace,
+        operator: Geodetic,
         say: Announcing,
-        against: Callable[[Vehicle, float], Awaitable[tuple[str, ...]]],
+        against: Callable[[ObservedVehicle, float], Awaitable[tuple[str, ...]]],
     ) -> None:
         """against: everything that can be known on the ground against a take-off of a drone to so many metres. Source: X8."""
-        self._shell = shell
+        self._commanders = commanders
+        self._airspace = airspace
+        self._operator = operator
         self._say = say
         self._against = against
-        self._task: asyncio.Task[None] | None = None
-        self._vehicle: Vehicle | None = None
 
-    def take_off(self, colour: str, metres: float) -> None:
+    async def take_off(self, colour: str, metres: float) -> GroundWorkEnded:
         """Take off to `metres` above the ground here, and hold."""
-        self._begin(
-            colour, f"taking off to {metres:g} m", Notice.TAKING_OFF, lambda vehicle: self._take_off(vehicle, metres)
-        )
 
-    async def _take_off(self, vehicle: Vehicle, metres: float) -> None:
-        reasons = await self._against(vehicle, metres)
-        if reasons:
-            raise VehicleError(f"{vehicle.colour.capitalize()}: not taking off, {'; '.join(reasons)}")
-        await vehicle.takeoff(metres)
+        async def work(commander: Commander) -> None:
+            reasons = await self._against(commander.vehicle, metres)
+            if reasons:
+                raise VehicleError(f"{colour.capitalize()}: not taking off, {'; '.join(reasons)}")
+            await commander.take_off(metres)
 
-    def land(self, colour: str) -> None:
-        self._begin(colour, "landing", Notice.LANDING, lambda vehicle: vehicle.land())
+        return await self._carry_out(colour, f"taking off to {metres:g} m", Notice.TAKING_OFF, work)
 
-    def stop(self) -> None:
-        """End what is under way, in Hold. Nothing is, nothing happens. Source: X4."""
-        task, vehicle = self._task, self._vehicle
-        if task is None or task.done() or vehicle is None:
-            return
-        task.cancel()
-        self._task = asyncio.create_task(self._hold(vehicle))
+    async def land(self, colour: str) -> GroundWorkEnded:
+        """Come down where it is."""
+        return await self._carry_out(colour, "landing", Notice.LANDING, Commander.land)
 
-    def _begin(
-        self, colour: str, what: str, notice: Notice, work: Callable[[Vehicle], Coroutine[Any, Any, None]]
-    ) -> None:
-        name, vehicle = colour.capitalize(), self._shell.fleet.vehicles.get(colour)
-        if vehicle is None:
-            self._say(f"{name}: there is no such drone")
-        elif self._shell.state.state is not State.IDLE:
-            self._say(f"{name}: {what} is only for a drone in normal autonomy, disconnect first")
-        elif self._task is not None and not self._task.done():
-            self._say(f"{name}: not {what}, the last take-off or landing is not over")
-        else:
-            self._say(f"{name}: {what}", notice)
-            self._vehicle = vehicle
-            self._task = asyncio.create_task(self._carry_out(vehicle, what, work))
+    async def call_off(self, colour: str) -> GroundWorkEnded:
+        """What was cancelled ends in Hold. Source: X4."""
+        name, commander = colour.capitalize(), self._commanders.get(colour)
+        try:
+            if commander is not None and await commander.stop():
+                self._say(f"{name}: holding")
+        except VehicleError as error:
+            self._say(str(error))
+        return GroundWorkEnded(colour)
 
     async def _carry_out(
-        self, vehicle: Vehicle, what: str, work: Callable[[Vehicle], Coroutine[Any, Any, None]]
-    ) -> None:
+        self, colour: str, what: str, notice: Notice, work: Callable[[Commander], Awaitable[None]]
+    ) -> GroundWorkEnded:
         """In shared air only with a drone that nobody else holds. Source: P1."""
-        name, airspace = vehicle.colour.capitalize(), self._shell.airspace
-        held = await airspace.claim(vehicle.colour, self._shell.frame.origin)
+        name, commander = colour.capitalize(), self._commanders.get(colour)
+        ended = GroundWorkEnded(colour)
+        if commander is None:
+            self._say(f"{name}: there is no such drone")
+            return ended
+        self._say(f"{name}: {what}", notice)
+        held = await self._airspace.claim(colour, self._operator)
         if held is not None:
             self._say(f"{name}: not {what}, {held}")
-            return
+            return ended
         try:
-            await work(vehicle)
+            await work(commander)
         except VehicleError as error:
             self._say(str(error))
         else:
             self._say(f"{name}: done {what}")
-        finally:
-            if self._shell.state.state is State.IDLE:  # else it has been paired meanwhile
-                airspace.give_up(vehicle.colour)
-
-    async def _hold(self, vehicle: Vehicle) -> None:
-        name = vehicle.colour.capitalize()
-        try:
-            await asyncio.wait_for(vehicle.hold(), HOLD_S)
-        except (VehicleError, TimeoutError) as error:
-            self._say(str(error) or f"{name}: did not answer to Hold")
-        else:
-            self._say(f"{name}: holding")
+        return ended

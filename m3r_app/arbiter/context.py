@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from m3r_app.arbiter import reports
 from m3r_app.arbiter.announcements import Announce
-from m3r_app.arbiter.effects import Effect, ImpossibleTransition
+from m3r_app.arbiter.effects import AnchorMoved, Effect, ImpossibleTransition
 from m3r_app.arbiter.modes import DECIDING, next_state
 from m3r_app.arbiter.state import ArbiterState, Session, Suspected, Tally
 from m3r_app.output import Notice
@@ -61,6 +61,7 @@ class Step:
     def anchor_here(self, vehicle: VehicleState) -> None:
         anchor = Anchor(vehicle.position, vehicle.yaw_deg, self.now_s)
         self.state = replace(self.state, session=replace(self.session, anchor=anchor))
+        self.do(AnchorMoved(anchor.position, self.state.limits.workspace_m))
 
     def tell(
         self,

@@ -9,6 +9,7 @@ from m3r_app.arbiter.announcements import Announce
 from m3r_app.output import OutputEvent, fields_of
 from safety.vocabulary import (
     Cause,
+    Ned,
     Plan,
     ReservedVolume,
     State,
@@ -39,6 +40,55 @@ class Pair:
     """Run the checks before pairing with this drone and put it in Hold; answer with PairingAnswered."""
 
     colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class CallOffPairing:
+    """End those checks, and in Hold what they have set in motion; answer with PairingAnswered. Source: X4."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Outside of a session, if nothing is against it; answer with GroundWorkEnded. metres: above the ground where it stands."""
+
+    colour: str
+    metres: float
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Outside of a session; answer with GroundWorkEnded."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class CallOffGroundWork:
+    """End the take-off or landing in Hold; answer with GroundWorkEnded. Source: X4."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """The drone is claimed for us no longer. Source: P1."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlayTune:
+    """The audible sign of pairing, on the drone itself. Source: paper III-A."""
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorMoved:
+    """Where the anchor is from now on; None: there is none. radius_m: of the workspace about it."""
+
+    position: Ned | None
+    radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,4 +146,22 @@ class ImpossibleTransition:
     cause: Cause
 
 
-Effect = ImpossibleTransition | Report | Announce | Pair | FaceOperator | Fly | Hold | Reserve | Release | LetGo
+Effect = (
+    ImpossibleTransition
+    | Report
+    | Announce
+    | Pair
+    | CallOffPairing
+    | TakeOff
+    | Land
+    | CallOffGroundWork
+    | GiveUp
+    | PlayTune
+    | AnchorMoved
+    | FaceOperator
+    | Fly
+    | Hold
+    | Reserve
+    | Release
+    | LetGo
+)

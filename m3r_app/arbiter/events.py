@@ -41,6 +41,28 @@ class PairingAnswered:
 
 
 @dataclass(frozen=True, slots=True)
+class TakeOffAsked:
+    """The console (not a modality) asks for a take-off of a drone that nobody is paired with. Source: design 15."""
+
+    colour: str
+    metres: float
+
+
+@dataclass(frozen=True, slots=True)
+class LandingAsked:
+    """The console (not a modality) asks for a landing of a drone that nobody is paired with. Source: design 15."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class GroundWorkEnded:
+    """The take-off or landing is over, however it went."""
+
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
 class TelemetryArrived:
     """A new state of the session's drone."""
 
@@ -101,6 +123,9 @@ Event = (
     Requested
     | PairingAsked
     | PairingAnswered
+    | TakeOffAsked
+    | LandingAsked
+    | GroundWorkEnded
     | TelemetryArrived
     | NeighboursHeard
     | ReservationAnswered

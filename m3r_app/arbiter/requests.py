@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from m3r_app.arbiter import decisions, execution, reports, sessions
+from m3r_app.arbiter import decisions, execution, ground_work, reports, sessions
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.decisions import is_of_now, refuse
 from m3r_app.arbiter.effects import Hold
@@ -79,11 +79,13 @@ def stop(run: Step, request: ManeuverRequest) -> None:
     # min() keeps its first argument where the second is NaN.
     stopped_at_s = max(run.state.stopped_at_s, min(run.now_s, request.captured_at_s))
     run.state = replace(run.state, stopped_at_s=stopped_at_s, recent=())
+    called_off = ground_work.call_off(run, STOPPED)
     if run.state.state in (State.PAIRING, State.FACING):
         sessions.call_off_pairing(run, STOPPED)
         return
     if not run.state.authority:
-        run.tell(Notice.NOTHING_TO_HOLD)
+        if not called_off:
+            run.tell(Notice.NOTHING_TO_HOLD)
         return
     decisions.withdraw(run, STOPPED, "X4")
     run.state = replace(run.state, leftover=execution.leftover(run), return_at_s=None, may_return=False)

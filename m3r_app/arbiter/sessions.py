@@ -12,7 +12,16 @@ import numpy as np
 from m3r_app.arbiter import decisions, execution, reports
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step
-from m3r_app.arbiter.effects import FaceOperator, Hold, LetGo, LetGoCommand, Pair
+from m3r_app.arbiter.effects import (
+    AnchorMoved,
+    CallOffPairing,
+    FaceOperator,
+    Hold,
+    LetGo,
+    LetGoCommand,
+    Pair,
+    PlayTune,
+)
 from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.arbiter.state import Session
 from m3r_app.output import MotionStatus, Notice, PairStatus
@@ -102,6 +111,7 @@ def face(run: Step, vehicle: VehicleState) -> None:
     run.anchor_here(vehicle)
     run.go(Cause.FACING_OPERATOR)
     run.do(reports.pair(session.colour, PairStatus.CONFIRMED))
+    run.do(PlayTune())
     run.tell(Notice.PAIRED, metres=told)
 
 
@@ -110,7 +120,10 @@ def face(run: Step, vehicle: VehicleState) -> None:
 
 def call_off_pairing(run: Step, why: str) -> None:
     """The operator or the end of the run wants no pairing any more: no motion comes of it. Source: X4."""
-    if run.state.state is State.PAIRING:
+    colour = run.state.pairing
+    if run.state.state is State.PAIRING and colour is not None:
+        if run.state.pairing_off is None:
+            run.do(CallOffPairing(colour))
         run.state = replace(run.state, pairing_off=why)
         run.tell(Notice.NOT_PAIRING, why)
     elif run.state.state is State.FACING:
@@ -235,4 +248,6 @@ def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_l
     )
     run.state = replace(run.state, return_at_s=None, may_return=False, breached=frozenset(), suspected=())
     run.state = replace(run.state, down_since_s=None, unlocated_since_s=None)
+    if session.anchor is not None:
+        run.do(AnchorMoved(None, run.state.limits.workspace_m))
     run.do(LetGo(command, vehicle_lost))

@@ -158,6 +158,8 @@ class ArbiterState:
     """The colour that the shell is checking."""
     pairing_off: str | None = None
     """Why it is not wanted any more, whatever the shell finds."""
+    ground_work: str | None = None
+    """The colour of the drone that takes off or lands for the console."""
     session: Session | None = None
     vehicle: VehicleState | None = None
     motion: Motion = AT_FIRST

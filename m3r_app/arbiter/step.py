@@ -1,7 +1,8 @@
 """The arbiter: one pure step from state and event to state and effects. The one owner of the mode.
 
-Here is what each event means; what then happens is in `requests`, `sessions`, `decisions`, `execution` and `monitoring`, each
-of which uses only those before it in: `context`, `execution`, `decisions`, `monitoring` and `sessions`, `requests`.
+Here is what each event means; what then happens is in `requests`, `sessions`, `ground_work`, `decisions`, `execution` and
+`monitoring`, each of which uses only those before it in: `context`, `execution`, `decisions`, `monitoring`, `sessions` and
+`ground_work`, `requests`.
 
 Source: paper III-C (pipeline), IV-B (state machine), design "Functional core" and decisions 2-7, 13-15.
 """
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from m3r_app.arbiter import decisions, execution, monitoring, requests, sessions
+from m3r_app.arbiter import decisions, execution, ground_work, monitoring, requests, sessions
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.effects import Effect, Hold
 from m3r_app.arbiter.events import (
@@ -18,12 +19,15 @@ from m3r_app.arbiter.events import (
     Ended,
     Event,
     FrameMoved,
+    GroundWorkEnded,
+    LandingAsked,
     NeighboursHeard,
     PairingAnswered,
     PairingAsked,
     Requested,
     ReservationAnswered,
     Stalled,
+    TakeOffAsked,
     TelemetryArrived,
     Tick,
 )
@@ -46,6 +50,12 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             sessions.activate(run, event.colour)
         case PairingAnswered():
             sessions.pairing_answered(run, event)
+        case TakeOffAsked():
+            ground_work.take_off(run, event)
+        case LandingAsked():
+            ground_work.land(run, event)
+        case GroundWorkEnded():
+            ground_work.ended(run, event)
         case TelemetryArrived():
             telemetry(run, event.vehicle)
         case NeighboursHeard():

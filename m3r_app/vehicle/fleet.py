@@ -7,23 +7,32 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from m3r_app.vehicle.adsb import newest
-from m3r_app.vehicle.interface import Links, Vehicle
+from m3r_app.vehicle.commander import Commander
+from m3r_app.vehicle.interface import Links, ObservedVehicle, Vehicle
 from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 from safety.frames import LocalFrame
 from safety.vocabulary import Neighbours
 
 
 class Fleet:
-    """Connected vehicles by colour."""
+    """Connected vehicles by colour. What can be paired with has a commander, and nobody else commands it."""
 
-    def __init__(self, vehicles: dict[str, Vehicle], others: dict[str, Vehicle], *, complete: bool) -> None:
-        self.vehicles = vehicles
-        self.others = others
+    def __init__(
+        self,
+        vehicles: Mapping[str, Vehicle],
+        others: Mapping[str, Vehicle],
+        clock: Callable[[], float],
+        *,
+        complete: bool,
+    ) -> None:
+        self.vehicles: Mapping[str, ObservedVehicle] = vehicles
+        self.others: Mapping[str, ObservedVehicle] = others
+        self.commanders = {colour: Commander(vehicle, clock) for colour, vehicle in vehicles.items()}
         self._complete = complete
 
     @classmethod
@@ -42,17 +51,17 @@ class Fleet:
             raise failures[0]
         vehicles = {name: v for name, v in connected.items() if name in links.vehicles}
         others = {name: v for name, v in connected.items() if name in links.others}
-        return cls(vehicles, others, complete=links.complete)
+        return cls(vehicles, others, clock, complete=links.complete)
 
     async def ready(self, timeout_s: float) -> None:
         """Wait until everybody has told where they are. Raises VehicleError naming who has not."""
-        everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())
+        everybody: Iterable[ObservedVehicle] = (*self.vehicles.values(), *self.others.values())
         heard = "a first report of its position"
         await asyncio.gather(*(v.wait_for(lambda t: t.geodetic is not None, timeout_s, heard) for v in everybody))
 
     async def close(self) -> None:
         """End all links."""
-        everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())
+        everybody: Iterable[ObservedVehicle] = (*self.vehicles.values(), *self.others.values())
         await asyncio.gather(*(v.close() for v in everybody))
 
     def neighbours(self, own: str, frame: LocalFrame, now_s: float) -> Neighbours:
@@ -70,7 +79,7 @@ class Fleet:
             feed_at_s = mine.telemetry().heard_at_s
         else:
             feed_at_s = -math.inf
-        everybody: Iterable[Vehicle] = (*self.vehicles.values(), *self.others.values())
+        everybody: Iterable[ObservedVehicle] = (*self.vehicles.values(), *self.others.values())
         seen = newest([a for v in everybody for a in v.aircraft()])
         states = [
             (name, t.geodetic, t.velocity, float(np.maximum(t.sigma_h_m, t.sigma_v_m)), t.at_s) for name, t in told

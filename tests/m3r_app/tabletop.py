@@ -12,7 +12,22 @@ from typing import Any
 import numpy as np
 
 from m3r_app.arbiter.announcements import Announce
-from m3r_app.arbiter.effects import Effect, FaceOperator, Fly, Hold, LetGo, Pair, Release, Report, Reserve
+from m3r_app.arbiter.effects import (
+    AnchorMoved,
+    CallOffPairing,
+    Effect,
+    FaceOperator,
+    Fly,
+    Hold,
+    Land,
+    LetGo,
+    Pair,
+    PlayTune,
+    Release,
+    Report,
+    Reserve,
+    TakeOff,
+)
 from m3r_app.arbiter.events import (
     Event,
     NeighboursHeard,
@@ -251,6 +266,7 @@ def check_step(before: ArbiterState, event: Event, after: ArbiterState, effects:
     if isinstance(event, Requested) and event.request.command is Command.STOP and before.authority:
         assert isinstance(effects[0], Hold), "X4: STOP holds before anything else"
         assert after.flight is None
+    check_effects(before, after, effects)
     commanding = [e for e in effects if isinstance(e, Hold | Fly | FaceOperator)]
     if not before.authority and not after.authority:
         assert not commanding, "X3: nothing is commanded without authority"
@@ -264,6 +280,22 @@ def check_step(before: ArbiterState, event: Event, after: ArbiterState, effects:
     assert after.deciding is None or after.state in (State.DELAYED, State.PLANNED, State.EMERGENCY_HOLD)
     assert after.pending is None or after.state is State.SETTLING
     assert after.state not in (State.DETECTED, State.VALIDATED), "these last no longer than a step"
+
+
+def check_effects(before: ArbiterState, after: ArbiterState, effects: tuple[Effect, ...]) -> None:
+    """Nothing that must be done has to be looked for in the state or in a report."""
+    anchors = [s.session.anchor if s.session is not None else None for s in (before, after)]
+    moved = [e.position for e in effects if isinstance(e, AnchorMoved)]
+    if anchors[0] is not anchors[1] or moved:
+        assert moved[-1] == (anchors[1].position if anchors[1] is not None else None)
+    called_off = after.pairing_off is not None and before.pairing_off is None
+    assert [e.colour for e in effects if isinstance(e, CallOffPairing)] == ([after.pairing] if called_off else [])
+    confirmed = [
+        e for e in effects if isinstance(e, Report) and e.event == "pair" and e.fields["status"] == "confirmed"
+    ]
+    assert sum(isinstance(e, PlayTune) for e in effects) == len(confirmed)
+    begun = [e.colour for e in effects if isinstance(e, TakeOff | Land)]
+    assert begun == ([after.ground_work] if before.ground_work is None and after.ground_work is not None else [])
 
 
 def ball(name: str, position: Ned, velocity: Ned, at_s: float, sigma_m: float = 0.1) -> Neighbours:
