@@ -10,20 +10,16 @@ link: PX4 may refuse to arm for what calls itself a companion computer (X3, X6).
 from __future__ import annotations
 
 import asyncio
-import functools
 import json
-import logging
 import math
-import sys
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from mavsdk import ComponentType, Configuration, LogLevel, Mavsdk, MavsdkError, log_subscribe
+from mavsdk import ComponentType, Configuration, Mavsdk, MavsdkError
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.mission_raw import MissionRaw
@@ -36,23 +32,18 @@ from m3r_app.ports import LinkError, check_link
 from m3r_app.vehicle import mavsdk_litter, px4_modes
 from m3r_app.vehicle.adsb import Aircraft
 from m3r_app.vehicle.interface import VehicleError
+from m3r_app.vehicle.mavsdk_commands import command, post, set_mode, settle, verdict
+from m3r_app.vehicle.mavsdk_log import redirect_log
 from m3r_app.vehicle.mavsdk_parameters import ParameterClient
-from m3r_app.vehicle.mavsdk_telemetry import AUTOPILOT_COMPONENT, Reception
-from m3r_app.vehicle.telemetry import NO_HEALTH, Telemetry
+from m3r_app.vehicle.mavsdk_telemetry import Reception
+from m3r_app.vehicle.telemetry import Telemetry
+from m3r_app.vehicle.waiting import Waiting
 from safety.vocabulary import FlightMode, Ned
 
-COMMAND_TIMEOUT_S = 4.0
-"""MAVSDK itself sends a command three times, half a second apart or more, before it gives up."""
 SETPOINT_AGE_S = 0.5
 """Offboard is entered only from a position at most this old."""
 MODE_WAIT_S = 2.5
 """The flight mode is reported at 1 Hz, and a report may be lost."""
-DO_SET_MODE = 176
-CUSTOM_MODE_ENABLED = 1
-"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED"""
-RATE_WAIT_S = 4.0
-SETTLED_M_S, SETTLED_M, SETTLED_S = 0.2, 0.5, 1.0
-"""It rests at less than this speed, or if it moves less than this in this time: an estimate may be noisier than it moves."""
 LET_GO_S = 20.0
 """So long a drone that is let go is told to hold, again and again, until it is seen to."""
 LET_GO_AGAIN_S = 0.3
@@ -61,14 +52,9 @@ BEFORE_TAKEOFF = (FlightMode.HOLD, FlightMode.READY)
 TAKEOFF_ALTITUDE = "MIS_TAKEOFF_ALT"
 OFFBOARD_RETRY_S = 2.0
 """PX4 denies Offboard until it has seen setpoints: how long to ask again."""
-HEALTH_WAIT_S = 3.0
-"""The home position, which health needs, comes every two seconds."""
 OUR_MODES = (FlightMode.OFFBOARD, FlightMode.HOLD, None)
 """The modes a vehicle is in while we command it; None: not heard yet."""
-REASON_WAIT_S = 0.3
-"""A refusal's reason comes as status text, shortly before or after the refusal."""
 
-log = logging.getLogger("m3r.mavsdk")
 T = TypeVar("T")
 
 
@@ -85,7 +71,7 @@ class StatusText:
     text: str
 
 
-class MavsdkVehicle:
+class MavsdkVehicle(Waiting):
     """A connected vehicle. Made by `MavsdkVehicle.connect`; every method but the two blocking Holds belongs to the event loop."""
 
     def __init__(self, colour: str, url: str, clock: Callable[[], float], mavsdk: Mavsdk, system: Any) -> None:
@@ -117,7 +103,7 @@ class MavsdkVehicle:
     @classmethod
     async def connect(cls, colour: str, url: str, clock: Callable[[], float], timeout_s: float = 10.0) -> MavsdkVehicle:
         """Open the link and wait for its first autopilot. Raises VehicleError: bad link, port in use, no answer."""
-        _redirect_log()
+        redirect_log()
         try:
             check_link(url)
         except LinkError as error:
@@ -132,7 +118,7 @@ class MavsdkVehicle:
                 await loop.run_in_executor(None, mavsdk.add_any_connection_with_handle, url)
             except MavsdkError as error:
                 raise VehicleError(f"{colour}: {url} cannot be opened ({error}).") from None
-            waiting = mavsdk.first_autopilot_async(timeout_s, lambda system: _post(loop, _settle, found, system))
+            waiting = mavsdk.first_autopilot_async(timeout_s, lambda system: post(loop, settle, found, system))
             try:
                 system = await found
             finally:
@@ -170,6 +156,9 @@ class MavsdkVehicle:
         if listener in self._listeners:
             self._listeners.remove(listener)
 
+    def now_s(self) -> float:
+        return self._clock()
+
     def telemetry(self) -> Telemetry:
         """The latest of everything, now. Silence is seen in its ages."""
         return self._reception.slots.snapshot(self._clock())
@@ -197,55 +186,6 @@ class MavsdkVehicle:
         if telemetry.local is None or not telemetry.age_s(self._clock()) <= SETPOINT_AGE_S:
             return None
         return telemetry.local, telemetry.yaw_deg
-
-    async def wait_for(self, condition: Callable[[Telemetry], bool], timeout_s: float, what: str) -> Telemetry:
-        """The first telemetry that fulfils condition. Raises VehicleError naming `what` if none does in time."""
-        deadline_s = self._loop.time() + timeout_s
-        asked_at_s = self._clock()
-        while not condition(telemetry := self.telemetry()):
-            if self._loop.time() > deadline_s:
-                raise VehicleError(
-                    f"{self.colour}: {what} did not happen within {timeout_s:g} s{self._reason(asked_at_s)}."
-                )
-            await asyncio.sleep(0.02)
-        return telemetry
-
-    async def wait_ready(self, timeout_s: float = 10.0) -> Telemetry:
-        """Wait until position, attitude, flight mode and health have been heard, and a little for health to be good.
-
-        Health that stays bad is returned, not raised: its reasons are for whoever pairs (X8). Raises VehicleError, also
-        where a second vehicle answers on the same link.
-        """
-        await self.wait_for(
-            lambda t: math.isfinite(t.at_s) and t.flight_mode != FlightMode.UNKNOWN and t.unhealthy != NO_HEALTH,
-            timeout_s,
-            "a first report of position, attitude, flight mode and health",
-        )
-        self._check_alone()
-        with suppress(VehicleError):
-            await self.wait_for(lambda t: t.healthy, HEALTH_WAIT_S, "good health")
-        return self.telemetry()
-
-    async def wait_measured(self) -> None:
-        """Wait a little until the rate of its positions is known; an unknown one is for whoever pairs (X8)."""
-        with suppress(VehicleError):
-            await self.wait_for(lambda t: math.isfinite(t.rate_hz), RATE_WAIT_S, "a rate of positions")
-
-    async def wait_settled(self, timeout_s: float) -> None:
-        """Wait until it has come to rest in Hold: by its velocity, or where that is noisy by its position. Raises VehicleError."""
-        places: deque[tuple[float, Ned]] = deque()
-
-        def settled(t: Telemetry) -> bool:
-            if t.flight_mode != FlightMode.HOLD or t.velocity is None or t.local is None:
-                return False
-            if not places or t.at_s > places[-1][0]:
-                places.append((t.at_s, t.local))
-            while places[-1][0] - places[0][0] > SETTLED_S:
-                places.popleft()
-            stays = places[-1][0] - places[0][0] > 0.8 * SETTLED_S and t.local.minus(places[0][1]).norm < SETTLED_M
-            return t.velocity.norm < SETTLED_M_S or stays
-
-        await self.wait_for(settled, timeout_s, "coming to rest in Hold")
 
     # Motion
 
@@ -326,12 +266,12 @@ class MavsdkVehicle:
         results: list[Any] = []
 
         def done(result: Any, *more: Any) -> None:
-            results.append(_verdict(result, *more))
+            results.append(verdict(result, *more))
             answered.set()
 
         try:
             if self._reception.is_px4:
-                self._direct.send_command_async(self._mode_command(px4_modes.AUTO, px4_modes.HOLD_SUB), done)
+                self._direct.send_command_async(self._set_mode(px4_modes.AUTO, px4_modes.HOLD_SUB), done)
             else:
                 self._action.hold_async(done)
         except RuntimeError as error:
@@ -427,7 +367,7 @@ class MavsdkVehicle:
 
     # Inside
 
-    def _check_alone(self) -> None:
+    def check_alone(self) -> None:
         """Two vehicles on one link could be taken for each other. Raises VehicleError."""
         systems = sorted(system.get_system_id() for system in self._mavsdk.get_systems() if system.has_autopilot())
         if len(systems) > 1:
@@ -439,7 +379,7 @@ class MavsdkVehicle:
     async def _change_mode(self, what: str, main: int, sub: int) -> None:
         """A mode of PX4's, by its own component; of another autopilot, whatever MAVSDK takes for the same. Raises VehicleError."""
         if self._reception.is_px4:
-            await self._command(what, lambda done: self._direct.send_command_async(self._mode_command(main, sub), done))
+            await self._command(what, lambda done: self._direct.send_command_async(self._set_mode(main, sub), done))
         elif main == px4_modes.OFFBOARD:
             offboard = self._offboard
             if offboard is not None:
@@ -447,36 +387,16 @@ class MavsdkVehicle:
         else:
             await self._command(what, self._action.hold_async)
 
-    def _mode_command(self, main: int, sub: int) -> MavlinkMessage:
-        """DO_SET_MODE to the autopilot itself: MAVSDK may take another component for it."""
-        target = {"target_system": self._system.get_system_id(), "target_component": AUTOPILOT_COMPONENT}
-        values = dict.fromkeys((f"param{i}" for i in range(1, 8)), 0.0)
-        values |= {"param1": float(CUSTOM_MODE_ENABLED), "param2": float(main), "param3": float(sub)}
-        fields = {**target, "command": DO_SET_MODE, "confirmation": 0, **values}
-        return MavlinkMessage("COMMAND_LONG", 0, 0, target["target_system"], AUTOPILOT_COMPONENT, json.dumps(fields))
+    def _set_mode(self, main: int, sub: int) -> MavlinkMessage:
+        return set_mode(self._system.get_system_id(), main, sub)
 
     async def _command(self, what: str, send: Callable[[Callable[..., None]], None]) -> None:
-        """Send a command with MAVSDK's own callback (its result, then a COMMAND_ACK if it has one) and wait for its result."""
         if self._closed:
             raise VehicleError(f"{self.colour}: {what} was asked for after the link was closed.")
         asked_at_s = self._clock()
-        answered: asyncio.Future[Any] = self._loop.create_future()
-        try:
-            send(lambda result, *more: _post(self._loop, _settle, answered, _verdict(result, *more)))
-        except RuntimeError as error:
-            raise VehicleError(f"{self.colour}: {what} could not be sent ({error}).") from None
-        try:
-            result = await asyncio.wait_for(answered, COMMAND_TIMEOUT_S)
-        except TimeoutError:
-            raise VehicleError(f"{self.colour}: no answer to {what} within {COMMAND_TIMEOUT_S:g} s.") from None
-        if result == "SUCCESS":
-            return
-        if result == "TIMEOUT":
-            raise VehicleError(f"{self.colour}: no answer to {what}: the link or the autopilot is silent.")
-        await asyncio.sleep(REASON_WAIT_S)
-        raise VehicleError(f"{self.colour}: {what} was refused ({result}){self._reason(asked_at_s)}.")
+        await command(self.colour, what, send, lambda: self.reason(asked_at_s))
 
-    def _reason(self, since_s: float) -> str:
+    def reason(self, since_s: float) -> str:
         """What the autopilot said in words since then, to be appended."""
         texts = [status.text.rstrip(". ") for status in self.status_texts if status.at_s >= since_s]
         return f": the vehicle says {'; '.join(texts)}" if texts else ""
@@ -485,7 +405,7 @@ class MavsdkVehicle:
         """On MAVSDK's thread: a new position. Wakes the loop once, however many arrive before it comes to it."""
         if not self._wake_pending:
             self._wake_pending = True
-            _post(self._loop, self._tell)
+            post(self._loop, self._tell)
 
     def _tell(self) -> None:
         self._wake_pending = False
@@ -495,67 +415,3 @@ class MavsdkVehicle:
 
     def _status_text(self, severity: str, text: str) -> None:
         self.status_texts.append(StatusText(self._clock(), severity, text))
-
-
-def _post(loop: asyncio.AbstractEventLoop, call: Callable[..., None], *arguments: Any) -> None:
-    """call_soon_threadsafe that a loop already closed may ignore: nobody listens any more."""
-    try:
-        loop.call_soon_threadsafe(call, *arguments)
-    except RuntimeError:
-        if not loop.is_closed():
-            raise
-
-
-MAV_RESULT = {
-    0: "SUCCESS",
-    1: "TEMPORARILY_REJECTED",
-    2: "COMMAND_DENIED",
-    3: "UNSUPPORTED",
-    4: "FAILED",
-    5: "IN_PROGRESS",
-    6: "CANCELLED",
-}
-
-
-def _verdict(result: Any, *more: Any) -> str:
-    """What became of a command, by name: of MAVSDK's own plugins the result, of a message sent as it is its COMMAND_ACK's."""
-    acknowledged = next((m for m in more if isinstance(m, MavlinkMessage)), None)
-    if acknowledged is None or result.name != "SUCCESS":
-        return str(result.name)
-    try:
-        return MAV_RESULT.get(int(json.loads(acknowledged.fields_json)["result"]), "UNKNOWN")
-    except (ValueError, KeyError, TypeError):
-        return "UNKNOWN"
-
-
-def _settle(future: asyncio.Future[Any], result: Any) -> None:
-    if not future.done():
-        future.set_result(result)
-
-
-_LEVELS = {
-    LogLevel.DEBUG: logging.DEBUG,
-    LogLevel.INFO: logging.DEBUG,
-    LogLevel.WARN: logging.INFO,
-    LogLevel.ERROR: logging.WARNING,
-}
-
-
-@functools.cache
-def _redirect_log() -> None:
-    """MAVSDK prints to standard output, which is not ours to litter: send its messages to logging instead.
-
-    Once only: replacing the handler would free the old one while another link's thread may be in it.
-    """
-
-    def to_logging(level: LogLevel, message: str, file: str | None, line: int) -> bool:
-        log.log(_LEVELS[level], "%s (%s:%s)", message, file, line)
-        return True
-
-    def printed(*words: object) -> None:
-        log.warning("%s", " ".join(map(str, words)))
-
-    log_subscribe(to_logging)
-    # Its Python wrappers print what goes wrong in a callback: one status text that is not UTF-8 is enough.
-    for wrapper in (log_subscribe, Action, MavlinkDirect, MissionRaw, Offboard, Param, TelemetryPlugin):
-        vars(sys.modules[wrapper.__module__])["print"] = printed

@@ -374,7 +374,7 @@ def test_the_estimator_is_believed_then_the_receiver_and_neither_is_unknown() ->
 
 
 def test_what_is_not_healthy_is_named_and_prevents_a_takeoff(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("m3r_app.vehicle.mavsdk_vehicle.HEALTH_WAIT_S", 0.5)
+    monkeypatch.setattr("m3r_app.vehicle.waiting.HEALTH_WAIT_S", 0.5)
 
     async def test(vehicle: MavsdkVehicle, autopilot: StandIn) -> None:
         telemetry = vehicle.telemetry()
