@@ -107,6 +107,7 @@ async def test_no_order_reaches_a_drone_that_was_let_go() -> None:
     made.commander.hover()
     await made.commander.face(10.0)
     await freed
+    await made.commander.face(20.0)
     assert made.vehicle.commands == ["offboard", "leave in hold"]
 
 
@@ -194,6 +195,36 @@ async def test_a_session_from_pairing_to_release() -> None:
         await app.until(lambda: red.commands[-1] == "leave in hold")
         anchors = [data["position"] for topic, data in app.recorded if topic == "anchor"]
         assert anchors[0] is not None and anchors[-1] is None
+
+
+@pytest.mark.requirement("X3")
+async def test_a_drone_is_paired_again_only_when_it_is_free() -> None:
+    async with tabletop() as app:
+        red = app.vehicles["red"]
+        app.put(PairingAsked("red"))
+        await app.until(lambda: app.shell.state.state is State.FACING and bool(red.setpoints))
+        red.obeys.clear()
+        app.ask(Command.STOP)
+        await app.until(lambda: red.commands[-1] == "leave in hold")
+        app.put(PairingAsked("red"))
+        await app.until(lambda: app.shell.state.state is State.PAIRING)
+        for _ in range(50):
+            await asyncio.sleep(0)
+        assert red.commands[-1] == "leave in hold"
+        red.obeys.set()
+        await app.until(lambda: red.commands[-2:] == ["hold", "offboard"])
+
+
+@pytest.mark.requirement("X6", "X8")
+async def test_a_drone_that_is_not_heard_once_it_is_taken_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("m3r_app.runtime.FRESH_S", 0.1)
+    async with tabletop() as app:
+        red = app.vehicles["red"]
+        red.told = replace(red.told, velocity=None)
+        app.put(PairingAsked("red"))
+        await app.until(lambda: app.said()[-1:] == ["Red: not paired, red: nothing was heard from it for 0.1 s."])
+        await app.until(lambda: red.commands == ["hold", "leave in hold"])
+        assert app.shell.commander is None
 
 
 COMMANDS = {
