@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -68,7 +68,3 @@ class Situation:
     """Volumes held by others."""
     world: World
     authority: bool
-
-    def near(self, reach_m: float) -> Situation:
-        """The same with the world cut down to reach_m about the vehicle."""
-        return replace(self, world=self.world.near(self.vehicle.position, reach_m))

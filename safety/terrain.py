@@ -301,7 +301,7 @@ class TerrainPatch:
         maps = self._cells.maps
         if maps.shape[2] > FEW:
             maps = maps.take(self._nearest(about, height), axis=2)
-        if not maps.shape[2]:
+        if not maps.shape[2]:  # pragma: no cover - the nearest cell is always among them, but for rounding
             return np.full(len(about), np.inf)
         points = np.ones((len(about), 4))
         points[:, :3] = about

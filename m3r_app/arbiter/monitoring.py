@@ -81,7 +81,7 @@ def hold_anew(run: Step, why: str) -> None:
         run.state = replace(run.state, session=replace(s.session, hover=()))
         run.do(FaceOperator(bearing_deg(s.vehicle.position, s.session.operator.position)))
         return
-    if s.session.anchor is not None:
+    if s.session.anchor is not None:  # pragma: no branch - only while facing there is none yet
         run.anchor_here(s.vehicle)
     run.state = replace(run.state, return_at_s=None, may_return=False)
     if s.flight is not None:

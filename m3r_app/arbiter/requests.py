@@ -90,8 +90,7 @@ def stop(run: Step, request: ManeuverRequest) -> None:
     decisions.withdraw(run, STOPPED, "X4")
     run.state = replace(run.state, leftover=execution.leftover(run), return_at_s=None, may_return=False)
     execution.end(run, MotionStatus.ABORTED)
-    if run.can(Cause.STOP):
-        run.go(Cause.STOP)
+    run.go(Cause.STOP)
     run.tell(Notice.HOLDING)
 
 

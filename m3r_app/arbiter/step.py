@@ -10,6 +10,7 @@ Source: paper III-C (pipeline), IV-B (state machine), design "Functional core" a
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import assert_never
 
 from m3r_app.arbiter import decisions, execution, ground_work, monitoring, requests, sessions
 from m3r_app.arbiter.context import Step
@@ -84,6 +85,8 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             sessions.leave(run, Cause.RELEASED, "hold", f"{event.reason}, {where}")
         case Ended():
             sessions.call_off_pairing(run, event.reason)
+        case _:
+            assert_never(event)
     return run.state, tuple(run.effects)
 
 
@@ -114,7 +117,7 @@ def telemetry(run: Step, heard: VehicleState) -> None:
             monitoring.monitor(run)
             monitoring.way_back(run)
             sessions.unlocated(run)
-        case State.ARMED | State.DELAYED | State.PLANNED:
+        case State.ARMED | State.DELAYED | State.PLANNED:  # pragma: no branch - the others last no longer than a step
             monitoring.monitor(run)
     decisions.recheck(run)
 

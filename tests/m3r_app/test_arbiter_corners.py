@@ -1,0 +1,190 @@
+"""What seldom happens to the arbiter, and must come out right all the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from m3r_app.arbiter import decisions, wording
+from m3r_app.arbiter.announcements import Announce
+from m3r_app.arbiter.context import Step, impossible
+from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition
+from m3r_app.arbiter.events import FrameMoved, Requested
+from m3r_app.arbiter.preview import WAITS, preview
+from m3r_app.arbiter.state import ArbiterState, Policy
+from m3r_app.arbiter.step import step
+from m3r_app.output import Notice
+from safety.limits import Limits
+from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, Verdict
+from tests.m3r_app.tabletop import Tabletop
+from tests.m3r_app.test_arbiter import ball, flying, held, pairing, settling, wall_at
+
+
+def test_an_impossible_transition_is_an_effect() -> None:
+    assert impossible(State.IDLE, Cause.STOP) == ImpossibleTransition(State.IDLE, Cause.STOP)
+
+
+def test_a_step_without_session_or_telemetry_says_so() -> None:
+    run = Step(ArbiterState(Limits(), Policy()), 0.0)
+    with pytest.raises(RuntimeError, match="no session"):
+        _ = run.session
+    with pytest.raises(RuntimeError, match="no telemetry"):
+        _ = run.vehicle
+
+
+@pytest.mark.requirement("X6")
+def test_a_request_while_nothing_was_ever_heard_is_refused() -> None:
+    table = Tabletop().paired()
+    table.state = replace(table.state, vehicle=None)
+    name = table.ask(Command.GO_LEFT)
+    assert table.verdicts(name) == ["rejected"]
+    assert table.failing(name) == {"localization"}
+    assert table.state.state is State.BLOCKED
+
+
+def test_what_is_not_approved_is_not_reserved() -> None:
+    table = Tabletop().paired()
+    no = Decision("r1", Primitive.MOVE_LEFT, Verdict.REJECTED, 1.0, None, ())
+    with pytest.raises(RuntimeError, match="carries its plan"):
+        decisions.reserve(Step(table.state, table.now_s), None, decisions.BACK, no)
+
+
+@pytest.mark.requirement("X12")
+@pytest.mark.parametrize("command", [Command.TURN_LEFT, Command.GO_LEFT])
+def test_of_what_is_as_good_as_done_stop_leaves_nothing(command: Command) -> None:
+    table = Tabletop().paired()
+    table.ask(command)
+    flight = table.state.flight
+    assert flight is not None
+    table.until(lambda: table.now_s - flight.started_at_s >= flight.plan.duration_s - 0.05, 60.0)
+    assert table.state.flight is not None
+    table.ask(Command.STOP)
+    assert table.state.leftover is None
+
+
+@pytest.mark.requirement("X6")
+def test_a_frame_that_moves_before_anything_is_paired_moves_nothing() -> None:
+    table = Tabletop()
+    after, effects = step(table.state, FrameMoved("its estimator moved"), table.now_s)
+    assert effects == ()
+    assert after == table.state
+
+
+@pytest.mark.requirement("X5")
+def test_a_contradiction_of_what_was_refused_refuses_both_where_it_hovers() -> None:
+    table = Tabletop(world=replace(Tabletop().world, obstacles=wall_at(12.05))).paired()
+    first = table.ask(Command.GO_FORWARD)
+    table.tick()
+    second = table.ask(Command.GO_BACK, Modality.GESTURE)
+    assert table.verdicts(first) == table.verdicts(second) == ["rejected"]
+    assert table.failing(second) == {"contradiction"}
+    assert table.state.state is State.ARMED
+
+
+@pytest.mark.requirement("R10")
+def test_no_way_back_is_announced_to_where_nobody_can_face() -> None:
+    table = held()
+    session = table.state.session
+    assert session is not None
+    nowhere = Operator(Ned(math.nan, 0.0, 0.0), 0.1)
+    table.state = replace(table.state, session=replace(session, operator=nowhere))
+    table.wait(6.0)
+    assert table.state.state is State.EMERGENCY_HOLD
+    assert table.state.return_at_s is None
+
+
+@pytest.mark.requirement("R10", "X13")
+def test_a_limit_that_was_broken_before_and_gets_worse_is_told_once() -> None:
+    """It moves away from one who is too near already, who then comes after it."""
+    table = Tabletop().paired()
+    near = table.position.plus(Ned(0.0, 2.6, 0.0))
+    table.sky = ball("blue", near, Ned(0.0, 0.0, 0.0), table.now_s)
+    table.wait(0.5)
+    for command in (Command.GO_LEFT, Command.GO_RIGHT, Command.GO_BACK, Command.GO_FORWARD, Command.GO_UP):
+        table.ask(command)
+        if table.state.state is State.EXECUTING:
+            break
+    assert table.state.state is State.EXECUTING
+    told = len([v for v in table.reports("violation") if v["kind"] == "actual" and v["constraint"] == "separation"])
+    for _ in range(20):
+        off = table.position.minus(near)
+        near = near.plus(Ned(*(0.3 * c / off.norm for c in off)))
+        table.sky = ball("blue", near, Ned(0.0, 0.0, 0.0), table.now_s)
+        table.tick()
+        if table.state.state is State.EMERGENCY_HOLD:
+            break
+    assert table.state.state is State.EMERGENCY_HOLD
+    again = len([v for v in table.reports("violation") if v["kind"] == "actual" and v["constraint"] == "separation"])
+    assert again == told
+
+
+@pytest.mark.requirement("X4")
+def test_pairing_is_called_off_once_however_often_stop_is_said() -> None:
+    table = pairing()
+    table.answers_pairing = False
+    table.ask(Command.STOP)
+    table.ask(Command.STOP)
+    assert len(table.effects(CallOffPairing)) == 1
+
+
+@pytest.mark.requirement("X6")
+def test_a_drone_that_knows_again_where_it_is_is_not_told_to_land() -> None:
+    table = held(policy=Policy(position_lost="land", return_to_anchor="never"))
+    table.sigma_m = 50.0
+    table.wait(1.0)
+    assert table.state.unlocated_since_s is not None
+    table.sigma_m = 0.1
+    table.wait(5.0)
+    assert table.state.unlocated_since_s is None
+    assert table.state.state is State.EMERGENCY_HOLD
+
+
+@pytest.mark.parametrize(
+    ("said", "text"),
+    [
+        (Announce(Notice.ASKS_TO_RETURN, "red"), "Red: say continue to return to the anchor"),
+        (Announce(Notice.NOTHING_TO_HOLD), "No drone: nothing to hold, this app has no authority over a drone"),
+    ],
+)
+def test_sentences(said: Announce, text: str) -> None:
+    assert said.text == text
+
+
+@pytest.mark.parametrize(
+    ("primitive", "verdict", "text"),
+    [
+        (Primitive.RETURN, Verdict.APPROVED, "Red: return to anchor 2.00 m"),
+        (Primitive.MOVE_LEFT, Verdict.DELAYED, "Red: left waits a moment, "),
+        (Primitive.MOVE_LEFT, Verdict.REPLACED, "Red: not left as asked, ; say continue to fly it slower"),
+    ],
+)
+def test_decisions_in_words(primitive: Primitive, verdict: Verdict, text: str) -> None:
+    decision = Decision("r1", primitive, verdict, 2.0, 2.0, ())
+    assert wording.decided("red", "left", decision) == text
+
+
+def test_a_preview_tells_the_answer_and_flies_nothing() -> None:
+    table = Tabletop().paired()
+    before = table.state
+    found = preview(table.state, table.request(Command.GO_UP), table.now_s)
+    assert found.decision is not None
+    assert found.decision.verdict is Verdict.APPROVED
+    assert found.text == "Red: up 0.50 m"
+    assert not found.interrupts
+    assert table.state is before
+
+
+def test_a_preview_in_flight_says_that_it_interrupts_and_waits() -> None:
+    table = flying()
+    found = preview(table.state, table.request(Command.GO_UP), table.now_s)
+    assert found.interrupts
+    assert found.decision is None
+    assert WAITS in found.text
+
+
+def test_a_request_while_it_settles_waits() -> None:
+    table = settling()
+    after, _ = step(table.state, Requested(table.request(Command.GO_UP), 0.0), table.now_s)
+    assert after.pending is not None
