@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, Self
 
 import cv2
@@ -14,31 +11,12 @@ import numpy as np
 from modalities.hands.gestures import Hand
 from modalities.hands.video import Picture
 from modalities.models.catalogue import HandModel, ModelError, hand_model_at
+from modalities.native_output import discarded_stderr
 
 MOST_HANDS = 2
 """Two, so that hands that disagree are seen."""
 LIBRARIES = "libegl1 and libgles2"
 _EMPTY: Picture = np.zeros((480, 640, 3), np.uint8)
-
-
-@contextmanager
-def _quiet_library() -> Iterator[None]:
-    """While the native library loads, what it says about its graphs and delegates goes nowhere; it has no setting for that.
-    Standard error is the whole process's, so this is for the time before anything flies.
-    """
-    try:
-        kept = os.dup(2)
-    except OSError:  # there is none to keep quiet
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
 
 
 class HandDetector:
@@ -49,7 +27,7 @@ class HandDetector:
         self._last_ms = -1
         self._begin_ms = 0
         hand_model_at(model.path, model.origin)  # it may have changed since it was found
-        with _quiet_library():
+        with discarded_stderr():
             self._load(model)
             self.detect(_EMPTY, 0.0)  # the first picture takes longest, and is talked about
 

@@ -13,6 +13,7 @@ import pytest
 
 from m3r_app.environment.scenario import SHIPPED
 from m3r_app.sim.process import SimulatedFleet
+from modalities.hands.video import VideoError
 from modalities.voice.audio import SAMPLE_RATE_HZ, quiet, read_audio
 from modalities.voice.devices import look_again
 from tests.modalities.sound_server import MICROPHONE, PACKAGES, SoundServer, missing
@@ -104,13 +105,6 @@ def test_no_voice_model_says_how_to_get_one(no_model: None) -> None:
     )
 
 
-def test_what_is_not_built_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check_module, "module", lambda _name: None)
-    monkeypatch.setattr(devices, "module", lambda _name: None)
-    assert found("hand model")[0].state is State.NOT_BUILT
-    assert found("camera")[0].state is State.NOT_BUILT
-
-
 def test_few_cores_are_weak(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda _pid: {0})
     assert [one.state for one in found("machine")] == [State.WORKS, State.WEAK]
@@ -123,11 +117,7 @@ def test_what_can_fetch_models(monkeypatch: pytest.MonkeyPatch, programs: set[st
     assert found("fetching")[0].state is state
 
 
-# A camera, on a stand-in for the module that watches one.
-
-
-class VideoError(ValueError):
-    pass
+# A camera, on a stand-in for the class that watches one.
 
 
 def cameras(monkeypatch: pytest.MonkeyPatch, numbers: list[int], rate_hz: dict[int, float]) -> None:
@@ -145,10 +135,8 @@ def cameras(monkeypatch: pytest.MonkeyPatch, numbers: list[int], rate_hz: dict[i
                 yield SimpleNamespace(captured_at_s=at_s)
                 at_s += self._step_s
 
-    module = SimpleNamespace(
-        Camera=Camera, VideoError=VideoError, camera_address=lambda text: int(text.removeprefix("camera:"))
-    )
-    monkeypatch.setattr(devices, "module", lambda _name: module)
+    monkeypatch.setattr("modalities.hands.camera.Camera", Camera)
+    monkeypatch.setattr("modalities.hands.camera.camera_address", lambda text: int(text.removeprefix("camera:")))
     monkeypatch.setattr(devices, "camera_numbers", lambda: numbers)
     monkeypatch.setattr("os.access", lambda *_: True)
 

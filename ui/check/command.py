@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
-import importlib
 import importlib.util
 import os
 import platform
@@ -18,10 +17,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modalities.models.catalogue import ModelError, find_model
+from modalities.models.catalogue import ModelError, find_hand_model, find_model
+from modalities.native_output import discarded_stderr
 from ui.check.air import air
 from ui.check.devices import cameras, microphones
-from ui.check.findings import Finding, State, Wanted, module, parts_of, shown, silence
+from ui.check.findings import Finding, State, Wanted, parts_of, shown
 from ui.check.mirror import mirror
 from ui.speaker import PROGRAM
 
@@ -126,15 +126,13 @@ def _voice_model(_wanted: Wanted) -> Iterator[Finding]:
 
 
 def _hand_model(_wanted: Wanted) -> Iterator[Finding]:
-    hands, models = module("modalities.hands.landmarker"), importlib.import_module("modalities.models.catalogue")
-    if hands is None:
-        yield Finding("hand model", State.NOT_BUILT, "this M3R does not recognise hands")
-        return
+    from modalities.hands.landmarker import HandDetector
+
     try:
-        model = models.find_hand_model()
+        model = find_hand_model()
         began_s = time.monotonic()
-        with silence():  # MediaPipe reports on its graphics at length
-            hands.HandDetector(model).close()
+        with discarded_stderr():  # MediaPipe reports on its graphics at length
+            HandDetector(model).close()
     except ModelError as error:
         yield Finding("hand model", State.MISSING, *parts_of(str(error)))
         return

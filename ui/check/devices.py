@@ -6,18 +6,20 @@ import os
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from modalities.native_output import discarded_stderr
 from modalities.voice.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, Chunk
 from modalities.voice.capture import FLOOR_DBFS, level_dbfs
 from modalities.voice.devices import MicrophoneError, choose_device, input_devices
 from modalities.voice.microphone import Microphone
 from modalities.voice.vad import QUIETEST_DBFS
-from ui.check.findings import Finding, State, Wanted, module, parts_of, silence
+from ui.check.findings import Finding, State, Wanted, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import ModuleType
+
+    from modalities.hands.camera import CameraAddress
 
 LISTEN_S = 1.0
 CHUNK_S = CHUNK_SAMPLES / SAMPLE_RATE_HZ
@@ -30,7 +32,7 @@ LOUDEST_ROOM_DBFS = -30.0
 
 def microphones(wanted: Wanted) -> Iterator[Finding]:
     try:
-        with silence():
+        with discarded_stderr():
             devices = input_devices()
             chosen = choose_device(wanted.microphone, devices)
     except MicrophoneError as error:
@@ -47,7 +49,7 @@ def _listened(name: str | None) -> Finding:
     microphone = Microphone(name, clock=time.monotonic)
     levels: list[float] = []
     try:
-        with silence():
+        with discarded_stderr():
             microphone.open()
             sentence = microphone.sentence
             heard = microphone.chunks()
@@ -81,12 +83,9 @@ def _listened(name: str | None) -> Finding:
 
 
 def cameras(wanted: Wanted) -> Iterator[Finding]:
-    camera = module("modalities.hands.camera")
     numbers = camera_numbers()
-    if camera is not None and wanted.camera is not None:
-        yield _watched(camera, wanted.camera)
-    elif camera is None:
-        yield Finding("camera", State.NOT_BUILT, f"this M3R does not watch cameras ({len(numbers)} here)")
+    if wanted.camera is not None:
+        yield _watched(wanted.camera)
     elif not numbers:
         yield Finding(
             "camera",
@@ -95,7 +94,7 @@ def cameras(wanted: Wanted) -> Iterator[Finding]:
             "plug a camera in, or watch one in the network: --video rtsp://…",
         )
     else:
-        looked = [_permitted(camera, number) for number in numbers]
+        looked = [_permitted(number) for number in numbers]
         # A camera has more than one device file, and only one of them gives pictures.
         yield from [finding for finding in looked if finding.state is not State.MISSING] or looked
 
@@ -104,29 +103,35 @@ def camera_numbers() -> list[int]:
     return sorted(int(path.name[5:]) for path in Path("/dev").glob("video*") if path.name[5:].isdecimal())
 
 
-def _permitted(camera: ModuleType, number: int) -> Finding:
+def _permitted(number: int) -> Finding:
     """A camera of this machine, if it may be opened."""
+    from modalities.hands.camera import camera_address
+
     name = f"camera:{number}"
     if not os.access(f"/dev/video{number}", os.R_OK | os.W_OK):
         return Finding(name, State.MISSING, f"/dev/video{number} may not be opened", "add yourself to the group video")
-    return _watched(camera, camera.camera_address(name), name)
+    address = camera_address(name)
+    assert address is not None
+    return _watched(address, name)
 
 
-def _watched(camera: ModuleType, address: Any, name: str = "camera") -> Finding:
+def _watched(address: CameraAddress, name: str = "camera") -> Finding:
     """One camera, opened as a run opens it and watched for WATCH_S."""
-    video_error: type[Exception] = camera.VideoError
+    from modalities.hands.camera import Camera
+    from modalities.hands.video import VideoError
+
     stopping = threading.Event()
     times_s: list[float] = []
     giving_up = threading.Timer(WATCH_S + CAMERA_TIMEOUT_S, stopping.set)
     try:
-        with silence():
-            source: Any = camera.Camera(address, clock=time.monotonic)
+        with discarded_stderr():
+            source = Camera(address, clock=time.monotonic)
             giving_up.start()
             for frame in source.frames(stopping):
                 times_s.append(frame.captured_at_s)
                 if times_s[-1] - times_s[0] >= WATCH_S:
                     stopping.set()
-    except video_error as error:
+    except VideoError as error:
         return Finding(name, State.MISSING, *parts_of(str(error)))
     finally:
         giving_up.cancel()

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
-import os
-import sys
 import textwrap
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from types import ModuleType
 
     from modalities.hands.camera import CameraAddress
 
 
 class State(StrEnum):
-    """WORKS: seen to work. WEAK: works, but not well enough. MISSING: what needs it cannot be used. NOT_BUILT: no part of
-    this M3R. NOT_DONE: it takes a person.
+    """WORKS: seen to work. WEAK: works, but not well enough. MISSING: what needs it cannot be used. NOT_DONE: it takes a
+    person.
     """
 
     WORKS = "works"
     WEAK = "weak"
     MISSING = "missing"
-    NOT_BUILT = "not built"
     NOT_DONE = "not done"
 
 
@@ -70,29 +64,3 @@ def parts_of(sentence: str) -> Sequence[str]:
     """Our errors say what is wrong, then, after a colon, what to do."""
     wrong, colon, remedy = sentence.rstrip(".").rpartition(": ")
     return (wrong, remedy) if colon else (remedy,)
-
-
-def module(name: str) -> ModuleType | None:
-    """One of our modules; None where this M3R does not have it. A library that it lacks is an error as elsewhere."""
-    try:
-        found: ModuleType = importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == name:
-            return None
-        raise
-    return found
-
-
-@contextlib.contextmanager
-def silence() -> Iterator[None]:
-    """Native libraries write to standard error on their own; what matters comes back to us. Nothing else runs meanwhile."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)

@@ -10,9 +10,10 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from modalities.native_output import discarded_stderr
 from safety.vocabulary import Command
 from ui.check.devices import camera_numbers
-from ui.check.findings import Finding, State, Wanted, parts_of, silence
+from ui.check.findings import Finding, State, Wanted, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,7 +70,7 @@ def _pointed(address: Any, model: Any) -> Command | None:
 
     stopping = threading.Event()
     hold = DwellFilter()
-    with silence(), HandDetector(model) as detector:
+    with discarded_stderr(), HandDetector(model) as detector:
         camera = Camera(address, clock=time.monotonic)
         giving_up = threading.Timer(POINT_S, stopping.set)
         giving_up.start()
