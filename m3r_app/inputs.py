@@ -188,7 +188,7 @@ class Voice:
         if self._microphone is not None:
             self._microphone.close()  # first: the thread waits for sound
         if self._stream is not None:
-            self._stream.stop()
+            self._stream.stop(timeout_s=2.0)
 
 
 class Hands:

@@ -5,7 +5,6 @@ Source: R1, X4.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
 
@@ -13,10 +12,11 @@ from modalities.hands.dwell import DwellFilter, Held
 from modalities.hands.gestures import Hand, read_hands
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import Clock, VideoSource
+from modalities.threaded_stream import ThreadedStream
 from safety.vocabulary import ManeuverRequest, Modality
 
 
-class HandStream:
+class HandStream(ThreadedStream):
     """Watches a video source and hands over requests, from its own thread.
 
     Losing the hand, the picture or the camera is never a request. The callbacks run in this thread, so an asyncio app passes
@@ -40,47 +40,23 @@ class HandStream:
         it changes. on_hands: the hands in every picture. on_end: called last, once, with the error that ended the stream, or None where the video was played or
         `stop` was called. mirrored: the camera shows the operator as a mirror would. The detector stays the caller's to close.
         """
+        super().__init__("hands", on_end)
         self._source = source
         self._detector = detector
         self._clock = clock
         self._on_request = on_request
         self._on_seen = on_seen
         self._on_hands = on_hands
-        self._on_end = on_end
         self._hold = DwellFilter() if hold is None else hold
         self._mirrored = mirrored
-        self._stopping = threading.Event()
         self._made = 0
-        self._thread = threading.Thread(target=self._run, name="hands", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self, timeout_s: float = 5.0) -> bool:
-        """End it. True if the thread has ended within timeout_s (it looks at no more than one more picture)."""
-        self._stopping.set()
-        if self._thread.ident is not None and self._thread is not threading.current_thread():
-            self._thread.join(timeout_s)
-        return not self._thread.is_alive()
-
-    @property
-    def alive(self) -> bool:
-        return self._thread.is_alive()
 
     @property
     def dropped(self) -> int:
         """How many pictures came too late to be looked at."""
         return self._source.dropped
 
-    def _run(self) -> None:
-        error: Exception | None = None
-        try:
-            self._watch()
-        except Exception as raised:  # noqa: BLE001 whatever it is, the app must know that nobody watches any more
-            error = raised
-        self._on_end(error)
-
-    def _watch(self) -> None:
+    def _recognise(self) -> None:
         seen = ""
         with closing(self._source.frames(self._stopping)) as frames:  # a camera is let go at once
             for frame in frames:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 
+from modalities.threaded_stream import ThreadedStream
 from modalities.voice.audio import Chunk, Gap
 from modalities.voice.capture import level_dbfs
 from modalities.voice.decoder import Heard, Recognizer
@@ -14,7 +14,7 @@ from safety.vocabulary import Command, ManeuverRequest, Modality
 Clock = Callable[[], float]
 
 
-class VoiceStream:
+class VoiceStream(ThreadedStream):
     """Hears chunks at their own time and hands over requests, from its own thread.
 
     A recording's second s is the app's time began_s + s; no chunk is heard before its last sample would have been
@@ -42,6 +42,7 @@ class VoiceStream:
         self_speech: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
         to on_dropped.
         """
+        super().__init__("voice", on_end)
         self._chunks = chunks
         self._recognizer = recognizer
         self._clock = clock
@@ -49,36 +50,11 @@ class VoiceStream:
         self._on_request = on_request
         self._on_partial = on_partial
         self._on_level = on_level
-        self._on_end = on_end
         self._self_speech = self_speech
         self._on_dropped = on_dropped
-        self._stopping = threading.Event()
         self._made = 0
-        self._thread = threading.Thread(target=self._run, name="voice", daemon=True)
 
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self, timeout_s: float = 2.0) -> bool:
-        """End it. True if the thread has ended within timeout_s (it decodes at most one more chunk)."""
-        self._stopping.set()
-        if self._thread.ident is not None and self._thread is not threading.current_thread():
-            self._thread.join(timeout_s)
-        return not self._thread.is_alive()
-
-    @property
-    def alive(self) -> bool:
-        return self._thread.is_alive()
-
-    def _run(self) -> None:
-        error: Exception | None = None
-        try:
-            self._hear()
-        except Exception as raised:  # noqa: BLE001 whatever it is, the app must know that nobody listens any more
-            error = raised
-        self._on_end(error)
-
-    def _hear(self) -> None:
+    def _recognise(self) -> None:
         heard_s = 0.0
         partial = ""
         for chunk in self._chunks:
