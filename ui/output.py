@@ -6,12 +6,11 @@ Whoever reads our output may be slow, stuck or gone, and that may not reach the 
 from __future__ import annotations
 
 import os
-import queue
 import signal
-import threading
 from typing import Self
 
 from m3r_app.output import Told, line
+from m3r_app.queue_thread import QueueThread
 from ui.narrator import every_sentence, narrated, sentence
 
 STANDARD_OUTPUT, STANDARD_ERROR = 1, 2
@@ -31,23 +30,21 @@ class Output:
         self._out = out
         self._err = err
         self._gone: set[int] = set()
-        self._queue: queue.SimpleQueue[Told | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="m3r-output", daemon=True)
+        self._events: QueueThread[Told] = QueueThread("m3r-output", self._run)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._events.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._queue.put(None)
-        self._thread.join(CLOSE_S)
+        self._events.close(CLOSE_S)
 
     def emit(self, event: Told) -> None:
         """Queue one event. Never blocks."""
-        self._queue.put(event)
+        self._events.put(event)
 
     def _run(self) -> None:
-        while (event := self._queue.get()) is not None:
+        for event in self._events:
             if self._headless:
                 self._write(self._out, line(event))
             text = narrated(event, self._sentence)

@@ -6,15 +6,14 @@ One thread owns all of it. The flight only queues events; whatever becomes of th
 from __future__ import annotations
 
 import os
-import queue
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
 
+from m3r_app.queue_thread import QueueThread
 from ui.cues import Cue, Cues
 
 if TYPE_CHECKING:
@@ -60,34 +59,26 @@ class Speaker:
         self._told = False
         self._speaking: tuple[Cue, subprocess.Popen[bytes], float] | None = None
         self._waiting: Cue | None = None
-        self._queue: queue.SimpleQueue[Told | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="m3r-speaker", daemon=True)
+        self._events: QueueThread[Told] = QueueThread("m3r-speaker", self._run)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._events.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """What is being spoken is cut off."""
-        self._queue.put(None)
-        self._thread.join(CLOSE_S)
+        self._events.close(CLOSE_S)
 
     def hear(self, told: Told) -> None:
         """Queue one event. Never blocks."""
-        self._queue.put(told)
+        self._events.put(told)
 
     def _run(self) -> None:
         try:
             if self._program is None:
                 self._tell(f"{PROGRAM} is not here: install it")
-            while True:
-                try:
-                    event = self._queue.get(timeout=LOOK_S if self._speaking is not None else None)
-                except queue.Empty:
-                    pass
-                else:
-                    if event is None:
-                        return
+            for event in self._events.or_after(lambda: LOOK_S if self._speaking is not None else None):
+                if event is not None:
                     self._take(self._cue_of(event))
                 self._look()
         except Exception as error:  # noqa: BLE001  a flight goes on without cues

@@ -8,8 +8,6 @@ Source: Foxglove's WebSocket protocol, foxglove-sdk.
 from __future__ import annotations
 
 import json
-import queue
-import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -17,6 +15,7 @@ import foxglove
 
 from m3r_app.plain import plain
 from m3r_app.ports import require_free
+from m3r_app.queue_thread import QueueThread
 from m3r_app.record.foxglove_scene import SCENE_TOPICS, Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
@@ -53,9 +52,10 @@ class Viewer:
         self._lasting: dict[str, tuple[float, Mapping[str, object]]] = {}
         for name in SCENE_TOPICS:
             self._channel(f"scene/{name}", "foxglove.SceneUpdate")  # or its first message would find nobody subscribed
-        self._queue: queue.Queue[tuple[str, float, int, Mapping[str, object]] | None] = queue.Queue(QUEUE_LENGTH)
-        self._thread = threading.Thread(target=self._run, name="m3r-viewer", daemon=True)
-        self._thread.start()
+        self._messages: QueueThread[tuple[str, float, int, Mapping[str, object]]] = QueueThread(
+            "m3r-viewer", self._run, QUEUE_LENGTH
+        )
+        self._messages.start()
 
     @property
     def address(self) -> str:
@@ -64,31 +64,19 @@ class Viewer:
 
     def record(self, topic: str, t_s: float, data: Mapping[str, object]) -> None:
         """Queue one message; when the queue is full, it is the one that is dropped."""
-        try:
-            self._queue.put_nowait((topic, t_s, time.time_ns(), data))
-        except queue.Full:
+        if not self._messages.put((topic, t_s, time.time_ns(), data)):
             self.dropped += 1
 
     def close(self) -> None:
         """Let all viewers go."""
-        try:
-            self._queue.put(None, timeout=CLOSE_S)
-        except queue.Full:
-            return  # its thread is stuck, and dies with the process
-        self._thread.join(CLOSE_S)
-        self._server.stop()
+        if self._messages.close(CLOSE_S):  # else its thread is stuck, and dies with the process
+            self._server.stop()
 
     def _run(self) -> None:
         shown_s = time.monotonic()
-        while True:
-            try:
-                item = self._queue.get(timeout=AGAIN_S)
-            except queue.Empty:
-                pass
-            else:
-                if item is None:
-                    return
-                topic, t_s, log_ns, data = item
+        for message in self._messages.or_after(lambda: AGAIN_S):
+            if message is not None:
+                topic, t_s, log_ns, data = message
                 if topic in LASTING:
                     self._lasting[topic] = t_s, data
                 self._show(topic, t_s, log_ns, data)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import struct
 import threading
 import time
@@ -28,6 +27,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from m3r_app.plain import plain, restored
+from m3r_app.queue_thread import QueueThread
 from m3r_app.record.foxglove_scene import Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
@@ -67,8 +67,6 @@ class Recorder:
         self._told_of_gaps = False
         self._dropped = 0
         self._dropped_lock = threading.Lock()
-        self._closing = threading.Event()
-        self._queue: queue.SimpleQueue[tuple[str, float, int, Mapping[str, object]] | None] = queue.SimpleQueue()
         self._wall_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
         try:
             _refuse_to_overwrite(path)
@@ -87,36 +85,31 @@ class Recorder:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._scene = Scene()
-        self._thread = threading.Thread(target=self._run, name="m3r-recorder", daemon=True)
-        self._thread.start()
+        self._messages: QueueThread[tuple[str, float, int, Mapping[str, object]]] = QueueThread(
+            "m3r-recorder", self._run, QUEUE_LENGTH
+        )
+        self._messages.start()
 
     def record(self, topic: str, t_s: float, data: Mapping[str, object]) -> None:
         """Queue one message. `data` and all in it may not be changed afterwards. Ignored after `close`."""
-        if self._closing.is_set():
-            return
-        if self._queue.qsize() >= QUEUE_LENGTH:
+        message = topic, t_s, time.monotonic_ns() + self._wall_minus_monotonic_ns, data
+        if not self._messages.put(message) and not self._messages.closed:
             with self._dropped_lock:
                 self._dropped += 1
-            return
-        self._queue.put((topic, t_s, time.monotonic_ns() + self._wall_minus_monotonic_ns, data))
 
     def close(self) -> None:
         """Write what is queued and finish the file. Safe to call twice and from any thread."""
-        if not self._closing.is_set():
-            self._closing.set()
-            self._queue.put(None)
-        self._thread.join(CLOSE_S)
+        self._messages.close(CLOSE_S)
 
     def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
-            topic, t_s, log_ns, data = item
+        for topic, t_s, log_ns, data in self._messages:
             if self._failed:
                 continue
             try:
                 self._write(topic, t_s, log_ns, data)
                 if self._dropped:
                     self._write_gap(t_s, log_ns)
-                if self._queue.empty():
+                if not self._messages.waiting:
                     self._file.flush()
             except OSError as error:
                 self._fail(error.strerror or str(error))

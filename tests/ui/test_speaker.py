@@ -139,7 +139,7 @@ def test_what_is_being_spoken_is_not_begun_again(spoken: Spoken, held: Path) -> 
         spoken.logged("begin Red: holding")
         spoken.cue("two")
         spoken.cue("Red: holding", urgent=True)
-        until(spoken.speaker._queue.empty, "it is not taken")
+        until(lambda: not spoken.speaker._events.waiting, "it is not taken")
         held.unlink()
         until(spoken.silent, "it never ends")
         spoken.cue("three")
@@ -155,7 +155,7 @@ def test_closing_kills_what_is_spoken(spoken: Spoken, held: Path) -> None:
         process = spoken.speaker._speaking[1]
     assert process.returncode == -9
     assert spoken.silent()
-    assert not spoken.speaker._thread.is_alive()
+    assert not spoken.speaker._events.alive
     assert time.monotonic() - began_s < DEADLINE_S
 
 
