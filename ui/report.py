@@ -21,6 +21,8 @@ from plotly.subplots import make_subplots
 
 from m3r_app.output import ModeEvent, MotionEvent, OutputEvent, PairEvent
 from m3r_app.record.flight_summary import Asked, Story, number, place_of, story_of
+from m3r_app.record.overwriting import is_other_file
+from m3r_app.record.prism_mesh import prism_mesh
 from m3r_app.record.recorder import RecordError, read_header, read_record
 from ui.narrator import every_sentence, sentence
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 MARK = "<!-- m3r flight report -->"
 """A page with this in its first line is ours, and may be replaced."""
+MARK_WITHIN_BYTES = 200
 INKS = {"approved": "#2a9d4a", "reduced": "#d79b00", "delayed": "#d79b00", "replaced": "#d79b00", "rejected": "#d62828"}
 SIGNS = {"approved": "circle", "reduced": "diamond", "delayed": "diamond", "replaced": "diamond", "rejected": "x"}
 SCENE_M = 20.0
@@ -48,7 +51,10 @@ def write_report(record: Path, out: Path | None = None) -> tuple[Path, str | Non
         raise RecordError(f"{record} is no file: name a flight record")
     header = read_header(record)
     page = out or record.with_suffix(".html")
-    _refuse_to_overwrite(page)
+    if page.is_dir():
+        raise ReportError(f"report {page} is a folder: name a file with --out")
+    if is_other_file(page, MARK.encode(), MARK_WITHIN_BYTES):
+        raise ReportError(f"report {page} would overwrite a file that is no report: name another with --out")
     try:
         story = story_of(read_record(record))
         text = render(story, header, record.name) if story.events else ""
@@ -148,7 +154,7 @@ def scene(story: Story) -> go.Figure:
             hovertemplate="ground %{z:.1f} m<extra></extra>",
         )
     for one in story.stage.get("obstacles") or []:
-        figure.add_trace(_prism(one["name"], np.array(one["corners_ne_m"]), one["base_m"], one["top_m"]))
+        figure.add_trace(_prism(one["name"], one["corners_ne_m"], one["base_m"], one["top_m"]))
     for edge in story.stage.get("fence_ne_m") or []:
         ends = [(north, east, middle[2]) for north, east in (edge[:2], edge[2:4])]
         _line(figure, ends, "geofence at the height flown", "#c2185b", 3, group="geofence at the height flown")
@@ -223,21 +229,12 @@ def _marks(figure: go.Figure, places: list[Any], texts: list[str], name: str, si
         )
 
 
-def _prism(name: str, corners: np.ndarray[Any, Any], base_m: float, top_m: float) -> go.Mesh3d:
+def _prism(name: str, corners_ne_m: Any, base_m: float, top_m: float) -> go.Mesh3d:
     """The walls and the roof of one obstacle."""
-    n = len(corners)
-    x, y = [*corners[:, 1]] * 2, [*corners[:, 0]] * 2
-    z = [base_m] * n + [top_m] * n
-    walls = [(a, (a + 1) % n, a + n) for a in range(n)] + [((a + 1) % n, (a + 1) % n + n, a + n) for a in range(n)]
-    roof = [(n, n + a, n + a + 1) for a in range(1, n - 1)]
-    i, j, k = zip(*(walls + roof), strict=True)
+    points, triangles = prism_mesh(corners_ne_m, base_m, top_m)
     return go.Mesh3d(
-        x=x,
-        y=y,
-        z=z,
-        i=i,
-        j=j,
-        k=k,
+        **dict(zip("xyz", zip(*points, strict=True), strict=True)),
+        **dict(zip("ijk", zip(*triangles, strict=True), strict=True)),
         name=html.escape(name),
         color="#b5651d",
         opacity=0.6,
@@ -332,13 +329,3 @@ def time_lines(story: Story) -> go.Figure:
         height=1040, margin={"l": 60, "r": 10, "t": 30, "b": 40}, template="none", hovermode="x unified"
     )
     return figure
-
-
-def _refuse_to_overwrite(page: Path) -> None:
-    """A report may replace an older one, never another file."""
-    if page.is_dir():
-        raise ReportError(f"report {page} is a folder: name a file with --out")
-    if page.is_file() and page.stat().st_size:
-        with page.open("rb") as file:
-            if MARK.encode() not in file.read(200):
-                raise ReportError(f"report {page} would overwrite a file that is no report: name another with --out")

@@ -12,6 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.record.foxglove_views import LOCAL, View, enu, heading, numbers, xyz
+from m3r_app.record.prism_mesh import prism_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -133,10 +134,7 @@ def _stage(data: Mapping[str, Any], stamp: dict[str, int]) -> list[dict[str, Any
     ground = data.get("ground")
     if isinstance(ground, dict):
         entities.append(_entity("ground", stamp, triangles=[_mesh(ground)]))
-    walls = [
-        _triangles(*_prism(one["corners_ne_m"], one["base_m"], one["top_m"]), "obstacle")
-        for one in data.get("obstacles") or []
-    ]
+    walls = [_prism(one) for one in data.get("obstacles") or []]
     labels = [
         _text(one["name"], [*_middle(one["corners_ne_m"]), -one["top_m"] - 0.5]) for one in data.get("obstacles") or []
     ]
@@ -172,16 +170,12 @@ def _mesh(ground: Mapping[str, Any]) -> dict[str, Any]:
             if known[r][c] and known[r][c + 1] and known[r + 1][c] and known[r + 1][c + 1]:
                 a = r * columns + c
                 indices += [a, a + 1, a + columns, a + 1, a + columns + 1, a + columns]
-    return {"pose": _pose(), "points": points, "color": _ink("ground"), "colors": [], "indices": indices}
+    return _triangles(points, indices, "ground")
 
 
-def _prism(corners: Sequence[Sequence[float]], base_m: float, top_m: float) -> tuple[list[dict[str, float]], list[int]]:
-    """Walls and roof."""
-    n = len(corners)
-    points = [xyz(east, north, height) for height in (base_m, top_m) for north, east in corners]
-    indices = [i for a in range(n) for i in (a, (a + 1) % n, a + n, (a + 1) % n, (a + 1) % n + n, a + n)]
-    indices += [i for a in range(1, n - 1) for i in (n, n + a, n + a + 1)]
-    return points, indices
+def _prism(one: Mapping[str, Any]) -> dict[str, Any]:
+    points, triangles = prism_mesh(one["corners_ne_m"], one["base_m"], one["top_m"])
+    return _triangles([xyz(*point) for point in points], [i for triangle in triangles for i in triangle], "obstacle")
 
 
 def _triangles(points: list[dict[str, float]], indices: list[int], ink: str) -> dict[str, Any]:

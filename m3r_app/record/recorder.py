@@ -31,6 +31,7 @@ from m3r_app.queue_thread import QueueThread
 from m3r_app.record.foxglove_scene import Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
+from m3r_app.record.overwriting import is_other_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -69,7 +70,8 @@ class Recorder:
         self._dropped_lock = threading.Lock()
         self._wall_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
         try:
-            _refuse_to_overwrite(path)
+            if is_other_file(path, MCAP0_MAGIC, len(MCAP0_MAGIC)):
+                raise RecordError(f"flight record {path} would overwrite a file that is no flight record: name another")
             self._file: IO[bytes] = path.open("wb")
         except OSError as error:
             raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
@@ -180,14 +182,6 @@ def _schema_of(value: Any) -> dict[str, Any]:
         return {"type": "array", "items": _schema_of(value[0]) if value else {}}
     kind = _JSON_TYPES.get(type(value))
     return {"type": kind} if kind else {}
-
-
-def _refuse_to_overwrite(path: Path) -> None:
-    """A record may replace an older one, never another kind of file."""
-    if path.is_file() and path.stat().st_size:
-        with path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise RecordError(f"flight record {path} would overwrite a file that is no flight record: name another")
 
 
 @dataclass(frozen=True)
