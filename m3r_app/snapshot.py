@@ -117,7 +117,7 @@ def craft(name: str, telemetry: Telemetry, frame: LocalFrame, now_s: float, *, o
         place if place is not None and max(map(abs, place)) < NOWHERE_M else None,
         telemetry.velocity,
         telemetry.yaw_deg,
-        float(np.maximum(telemetry.sigma_h_m, telemetry.sigma_v_m)),
+        telemetry.sigma_m,
         telemetry.age_s(now_s),
         telemetry.link_age_s(now_s),
         telemetry.battery,

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
 from pydantic import ValidationError
 
 from m3r_app.airspace.messages import Place, State, Velocity
@@ -26,9 +25,7 @@ class Reported(Protocol):
     @property
     def velocity(self) -> Ned | None: ...
     @property
-    def sigma_h_m(self) -> float: ...
-    @property
-    def sigma_v_m(self) -> float: ...
+    def sigma_m(self) -> float: ...
     @property
     def at_s(self) -> float: ...
 
@@ -57,9 +54,7 @@ class StatePublisher:
         """A drone's newest telemetry."""
         if telemetry.geodetic is None or telemetry.velocity is None:
             return
-        # numpy's maximum keeps a NaN, max() may not.
-        sigma_m = float(np.maximum(telemetry.sigma_h_m, telemetry.sigma_v_m))
-        self.tell(drone, telemetry.geodetic, telemetry.velocity, sigma_m, self._clock() - telemetry.at_s)
+        self.tell(drone, telemetry.geodetic, telemetry.velocity, telemetry.sigma_m, self._clock() - telemetry.at_s)
 
     def tell(self, drone: str, place: Geodetic, velocity: Ned, sigma_m: float, age_s: float) -> None:
         """A drone's newest state; told if the last was PERIOD_S ago."""

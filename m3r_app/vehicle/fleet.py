@@ -81,9 +81,7 @@ class Fleet:
             feed_at_s = -math.inf
         everybody: Iterable[ObservedVehicle] = (*self.vehicles.values(), *self.others.values())
         seen = newest([a for v in everybody for a in v.aircraft()])
-        states = [
-            (name, t.geodetic, t.velocity, float(np.maximum(t.sigma_h_m, t.sigma_v_m)), t.at_s) for name, t in told
-        ]
+        states = [(name, t.geodetic, t.velocity, t.sigma_m, t.at_s) for name, t in told]
         states += [(a.name, a.place, a.velocity, a.sigma_m, a.at_s) for a in seen]
         nowhere = (math.nan, math.nan, math.nan)
         return Neighbours(

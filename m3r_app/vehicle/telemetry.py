@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import numpy as np
+
 from safety.vocabulary import FlightMode, Geodetic, Ned
 
 MODE_AGE_S = 3.0
@@ -66,6 +68,11 @@ class Telemetry:
     """What a rangefinder that looks down measures (DISTANCE_SENSOR)."""
     restarts: int = 0
     """How often the autopilot has started anew since it was first heard (SYSTEM_TIME)."""
+
+    @property
+    def sigma_m(self) -> float:
+        """The larger of the two accuracies, 1 sigma; NaN if either is unknown."""
+        return float(np.maximum(self.sigma_h_m, self.sigma_v_m))  # which keeps a NaN; max() may not
 
     def age_s(self, now_s: float) -> float:
         """How old the position and attitude are; inf if they never came."""

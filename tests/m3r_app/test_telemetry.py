@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -266,3 +267,12 @@ def test_the_time_since_boot_tells_a_restart(before: int, after: int, restarts: 
     for since_boot_ms in (before, after, after + 500):
         heard.message("SYSTEM_TIME", time_boot_ms=since_boot_ms)
     assert heard.reception.slots.snapshot(100.0).restarts == restarts
+
+
+@pytest.mark.parametrize(
+    ("level_m", "height_m", "larger_m"),
+    [(0.3, 0.5, 0.5), (0.5, 0.3, 0.5), (math.nan, 0.3, math.nan), (0.3, math.nan, math.nan)],
+)
+def test_the_larger_accuracy_is_unknown_where_either_is(level_m: float, height_m: float, larger_m: float) -> None:
+    told = replace(NEVER_HEARD, sigma_h_m=level_m, sigma_v_m=height_m)
+    assert told.sigma_m == pytest.approx(larger_m, nan_ok=True)
