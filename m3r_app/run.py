@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import math
 import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
@@ -182,18 +183,7 @@ class Run:
     async def _body(self) -> EndReason:
         async with AsyncExitStack() as stack:
             setting = self.setting = await _in_thread(lambda: prepare(self.options))
-            inputs = await _in_thread(
-                lambda: open_inputs(
-                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._self_speech
-                )
-            )
-            stack.callback(inputs.close)
-            self.talk = inputs.talk
-            for sentence in inputs.sentences:
-                self.announce(sentence)
-            await _in_thread(lambda: self._open_sinks(setting, inputs))
-            self.record("stage", self.clock(), stage_of(setting.world, setting.operator))
-            fleet = await self._connect(setting, stack)
+            inputs, fleet = await self._load_and_connect(setting, stack)
             guard = Guard(self._say_soon)
             guard.start()
             stack.callback(guard.close)
@@ -211,6 +201,29 @@ class Run:
         return EndReason.INPUTS_PLAYED
 
     # ------------------------------------------------------------ before flying
+
+    async def _load_and_connect(self, setting: Setting, stack: AsyncExitStack) -> tuple[Inputs, Fleet]:
+        """Models load while the fleet is found, for each takes a second or more. What is wrong with an input is told first."""
+        with_inputs = stack.enter_context(ExitStack())  # entered first, so that links end before devices are waited for
+        connecting = asyncio.create_task(self._connect(setting, stack))
+        try:
+            inputs = await _in_thread(
+                lambda: open_inputs(
+                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._self_speech
+                )
+            )
+            with_inputs.callback(inputs.close)
+            self.talk = inputs.talk
+            for sentence in inputs.sentences:
+                self.announce(sentence)
+            await _in_thread(lambda: self._open_sinks(setting, inputs))
+            self.record("stage", self.clock(), stage_of(setting.world, setting.operator))
+            fleet = await connecting
+            _return_freed_memory()
+            return inputs, fleet
+        finally:
+            connecting.cancel()
+            await asyncio.gather(connecting, return_exceptions=True)
 
     def _open_sinks(self, setting: Setting, inputs: Inputs) -> None:
         """The record and the live view, as asked for."""
@@ -396,6 +409,12 @@ async def _in_thread(work: Callable[[], T]) -> T:
 
     threading.Thread(target=run_it, name="loading", daemon=True).start()
     return await done
+
+
+def _return_freed_memory() -> None:
+    """What loading needed for a moment goes back to the system (about 6 MB); only glibc would keep it."""
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextlib.asynccontextmanager

@@ -15,8 +15,6 @@ import math
 import re
 from dataclasses import dataclass
 
-import h3
-
 from safety.vocabulary import Geodetic
 
 ROOT = "m3r/1"
@@ -110,6 +108,8 @@ def parse_topic(text: str) -> Topic | None:
 
 def cell_of(place: Geodetic) -> str:
     """The cell a place lies in."""
+    import h3  # only shared air needs it
+
     return str(h3.latlng_to_cell(place.lat_deg, place.lon_deg, RESOLUTION))
 
 
@@ -127,4 +127,6 @@ def cells_told(place: Geodetic) -> frozenset[str]:
 
 def cells_near(place: Geodetic) -> frozenset[str]:
     """What somebody there must listen to: its cell and all that touch it, so at least 700 m around."""
+    import h3
+
     return frozenset(map(str, h3.grid_disk(cell_of(place), 1)))

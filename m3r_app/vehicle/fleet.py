@@ -39,9 +39,13 @@ class Fleet:
     async def connect(cls, links: Links, clock: Callable[[], float], timeout_s: float) -> Fleet:
         """Connect to all at once. Raises VehicleError of the first that fails, with none left open."""
         urls = {**links.vehicles, **links.others}
-        answers = await asyncio.gather(
-            *(MavsdkVehicle.connect(name, url, clock, timeout_s) for name, url in urls.items()), return_exceptions=True
-        )
+        asked = [asyncio.create_task(MavsdkVehicle.connect(name, url, clock, timeout_s)) for name, url in urls.items()]
+        try:
+            answers = await asyncio.gather(*asked, return_exceptions=True)
+        except asyncio.CancelledError:
+            answers = await asyncio.gather(*asked, return_exceptions=True)
+            await asyncio.gather(*(a.close() for a in answers if isinstance(a, MavsdkVehicle)))
+            raise
         connected: dict[str, Vehicle] = {
             name: v for name, v in zip(urls, answers, strict=True) if isinstance(v, MavsdkVehicle)
         }

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import vosk
 
 from modalities.models.catalogue import ModelError
 from modalities.voice.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, quiet
 from modalities.voice.barge_in import BargeIn
 from modalities.voice.phrases import OTHER_WORDS, STOP_RIVALS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
 from modalities.voice.vad import VoiceActivityDetector
+from modalities.voice.vosk_library import KaldiRecognizer, Model, SetLogLevel
 from safety.vocabulary import Command
 
 CLOSE_AFTER_S = 0.3
@@ -74,8 +74,8 @@ class Heard:
 class Decoder:
     """One VOSK recogniser over one grammar."""
 
-    def __init__(self, model: vosk.Model, grammar: tuple[str, ...]) -> None:
-        self._recognizer = vosk.KaldiRecognizer(model, float(SAMPLE_RATE_HZ), json.dumps(grammar))
+    def __init__(self, model: Model, grammar: tuple[str, ...]) -> None:
+        self._recognizer = KaldiRecognizer(model, float(SAMPLE_RATE_HZ), json.dumps(grammar))
         self._recognizer.SetMaxAlternatives(ALTERNATIVES)
         self._segments: list[list[Hypothesis]] = []
         self.partial = ""
@@ -118,7 +118,7 @@ class Decoder:
 class Recognizer:
     """Both ears and the voice's end: chunks in, request candidates out. Synchronous, no clock; one per recording."""
 
-    def __init__(self, model: vosk.Model, table: PhraseTable) -> None:
+    def __init__(self, model: Model, table: PhraseTable) -> None:
         """Raises ModelError if the model does not know the word *stop*."""
         known = {
             word: model.vosk_model_find_word(word) >= 0
@@ -343,10 +343,10 @@ def confidence_of(commands: list[Hypothesis], words: list[Hypothesis], phrase: P
     return 1.0 / (1.0 + math.exp(-log_odds))
 
 
-def load_model(folder: Path) -> vosk.Model:
+def load_model(folder: Path) -> Model:
     """A VOSK model, its log silenced. Raises ModelError."""
-    vosk.SetLogLevel(-2)  # its warnings too: missing words are reported by the recogniser
+    SetLogLevel(-2)  # its warnings too: missing words are reported by the recogniser
     try:
-        return vosk.Model(str(folder))
+        return Model(str(folder))
     except Exception as error:  # vosk raises nothing narrower
         raise ModelError(f"{folder} is not a voice model: run `m3r models fetch` or set M3R_MODELS") from error

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-import vosk
 
 from modalities.models.catalogue import VoiceModel
 from modalities.outcomes import (
@@ -26,6 +25,7 @@ from modalities.outcomes import (
 from modalities.voice.audio import SAMPLE_RATE_HZ, Samples, chunks, quiet, read_audio
 from modalities.voice.decoder import Recognizer, load_model
 from modalities.voice.phrases import PhraseTable
+from modalities.voice.vosk_library import Model
 
 PADDING_S = 2.0
 TOLERATED_FALSE_MOVES = 0.005
@@ -78,6 +78,6 @@ def evaluate_voice(
     }
 
 
-def _trial(name: str, path: Path, model: vosk.Model, table: PhraseTable) -> Trial:
+def _trial(name: str, path: Path, model: Model, table: PhraseTable) -> Trial:
     samples = np.concatenate([read_audio(path), quiet(PADDING_S)])
     return Trial(name, expected_of(name), hear(samples, Recognizer(model, table)))
