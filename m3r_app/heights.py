@@ -16,7 +16,7 @@ from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.spatial import checked_sigma_m
 from safety.terrain import Terrain, TerrainPatch
-from safety.vocabulary import Geodetic, Ned, Operator, VehicleState
+from safety.vocabulary import Ned, Operator, VehicleState
 
 HAND_M = 2.0
 """An operator's altitude may be that of the ground or of what they hold in their hand."""
@@ -66,11 +66,6 @@ def disagreements(
                 f"{height_m:.1f} m, where {explained_m:.1f} m can be explained: the model or an altitude is wrong"
             )
     return tuple(sentence for sentence in found if sentence is not None)
-
-
-def terrain_amsl_m(terrain: Terrain | TerrainPatch, place: Geodetic, frame: LocalFrame) -> float:
-    """How high the ground is at a place; NaN where there is no data."""
-    return place.amsl_m - _above(terrain, frame.ned(place))
 
 
 def _above(terrain: Terrain | TerrainPatch, place: Ned) -> float:

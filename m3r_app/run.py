@@ -339,11 +339,11 @@ class Run:
 
     def _heard(self, words: str) -> None:
         self.record("heard", self.clock(), {"modality": "voice", "words": words})
-        self.senses = replace(self.senses, words=words, words_at_s=self.clock())
+        self.senses = replace(self.senses, words=words)
 
     def _seen(self, shown: str) -> None:
         self.record("seen", self.clock(), {"modality": "gesture", "shown": shown})
-        self.senses = replace(self.senses, shown=shown, shown_at_s=self.clock())
+        self.senses = replace(self.senses, shown=shown)
 
     def _loud(self, level_dbfs: float) -> None:
         self.senses = replace(self.senses, level_dbfs=level_dbfs, level_at_s=self.clock())

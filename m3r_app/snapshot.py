@@ -62,13 +62,11 @@ class Taken:
 
     words: str = ""
     """Partial words, of what is being said."""
-    words_at_s: float = -math.inf
     level_dbfs: float = -math.inf
     """Of the sound, in dB below full scale."""
     level_at_s: float = -math.inf
     shown: str = ""
     """What the hands show."""
-    shown_at_s: float = -math.inf
     hands: tuple[Hand, ...] = ()
     hands_at_s: float = -math.inf
 

@@ -33,6 +33,7 @@ class Beacon:
         self._back_at_s: dict[str, float] = {}
         self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock)
         self.publisher = StatePublisher(self._channel, clock)
+        self._channel.link.speaks = lambda: self.publisher.tells
 
     def check(self, drones: Mapping[str, object]) -> None:
         """Raises AirError for a drone that these credentials may not tell of."""
@@ -42,17 +43,13 @@ class Beacon:
 
     async def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Tell until cancelled. ready: called when the first state of every drone has come back. Raises AirError."""
-        link = asyncio.create_task(self._channel.link.run())
-        try:
-            await self._channel.link.open()
+        async with self._channel.link.kept() as life:
             said: set[str] = set()
             started = False
-            while not link.done():
+            while not life.done():
                 self._channel.listen(f"{ROOT}/state/{cell}/+" for cell in self.publisher.near)
                 await asyncio.sleep(0.1)
                 now_s = self._clock()
-                if not self.publisher.tells:
-                    self._channel.link.echoed()  # nothing was sent that could come back
                 for drone in self._flies:
                     told = self._back_at_s.get(drone)
                     if told is not None and now_s - told > QUIET_S and drone not in said:
@@ -64,10 +61,7 @@ class Beacon:
                 if not started and self._back_at_s:
                     started = True
                     ready()
-            link.result()
-        finally:
-            link.cancel()
-            await asyncio.gather(link, return_exceptions=True)
+            life.result()
 
     def _take(self, received: Received) -> None:
         match received.topic, received.body:

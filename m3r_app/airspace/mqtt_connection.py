@@ -13,7 +13,8 @@ import secrets
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,7 +57,7 @@ class _Outgoing:
 
 
 class MqttConnection:
-    """Keeps one connection, from `run` until that is cancelled. From one event loop only."""
+    """Keeps one connection for as long as `kept` is entered. From one event loop only."""
 
     def __init__(
         self,
@@ -73,7 +74,9 @@ class MqttConnection:
         self.client_id = ""
         self.dropped = 0
         """Messages that could not be sent in time."""
-        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.speaks: Callable[[], bool] = lambda: True
+        """Whether anything of ours was sent that must come back by now; while not, silence says nothing of the broker."""
+        self._opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when first connected, or failed for good before that."""
         self._user = credentials.user
         self._password = credentials.password
@@ -139,11 +142,21 @@ class MqttConnection:
 
     # ------------------------------------------------------------ its life
 
-    async def open(self) -> None:
-        """Wait for the first connection that `run` makes. Raises AirError."""
-        await asyncio.shield(self.opened)
+    @asynccontextmanager
+    async def kept(self) -> AsyncIterator[asyncio.Task[None]]:
+        """Connected within, and again whenever the connection is lost. Yields the task that sees to it.
 
-    async def run(self) -> None:
+        Raises AirError, with nothing left running, where the first connection cannot be made.
+        """
+        life = asyncio.create_task(self._run())
+        try:
+            await asyncio.shield(self._opened)
+            yield life
+        finally:
+            life.cancel()
+            await asyncio.gather(life, return_exceptions=True)
+
+    async def _run(self) -> None:
         """Connect, and again whenever the connection is lost, until cancelled."""
         wait_s = BACKOFF_S[0]
         me = asyncio.current_task()
@@ -196,14 +209,14 @@ class MqttConnection:
     def _is_up(self) -> None:
         self.up_since_s = self.echoed_at_s = self._clock()
         self._outbox.clear()
-        if not self.opened.done():
-            self.opened.set_result(None)
+        if not self._opened.done():
+            self._opened.set_result(None)
 
     def _down(self, why: str) -> None:
         self.up_since_s = None
-        if not self.opened.done():
-            self.opened.set_exception(AirError(why))
-            self.opened.exception()  # whether or not anybody waits
+        if not self._opened.done():
+            self._opened.set_exception(AirError(why))
+            self._opened.exception()  # whether or not anybody waits
         else:
             self._tell(why)
 
@@ -250,6 +263,8 @@ class MqttConnection:
         """Raises AirError when nothing of our own comes back."""
         while True:
             await asyncio.sleep(0.1)
+            if not self.speaks():
+                self.echoed()
             if self._clock() - self.echoed_at_s > SILENT_S:
                 raise AirError(
                     f"{self.broker} does not pass our messages on: the network is down, or {self._user} may not publish there"

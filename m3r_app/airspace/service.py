@@ -60,6 +60,7 @@ class AirspaceService:
         self._clock = clock
         self._epoch = secrets.token_hex(8)
         self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock)
+        self._channel.link.speaks = lambda: not self._listening
         self._authority = Authority()
         self._began_at_s = math.inf
         """When it was first connected."""
@@ -70,20 +71,18 @@ class AirspaceService:
         """Serve. ready: called once it grants. Raises AirError when it cannot, or must not, go on."""
         self._store.load(EARTH, self._clock())  # what is wrong with it is told before anything else
         self._channel.listen((f"{ROOT}/ask/{self._area}/+/+", str(HeldTopic(self._area))))
-        link = asyncio.create_task(self._channel.link.run())
         beat = asyncio.create_task(self._heartbeat(ready))
         try:
-            await self._channel.link.open()
-            self._began_at_s = self._heard_at_s = self._clock()
-            self._authority = self._store.load(EARTH, self._began_at_s)
-            await asyncio.wait({beat, link, self._failed}, return_when=asyncio.FIRST_COMPLETED)
-            for one in (self._failed, beat, link):
-                if one.done():
-                    one.result()
+            async with self._channel.link.kept() as life:
+                self._began_at_s = self._heard_at_s = self._clock()
+                self._authority = self._store.load(EARTH, self._began_at_s)
+                await asyncio.wait({beat, life, self._failed}, return_when=asyncio.FIRST_COMPLETED)
+                for one in (self._failed, beat, life):
+                    if one.done():
+                        one.result()
         finally:
-            for task in (link, beat):
-                task.cancel()
-            await asyncio.gather(link, beat, return_exceptions=True)
+            beat.cancel()
+            await asyncio.gather(beat, return_exceptions=True)
             self._store.close()
 
     @property
@@ -93,9 +92,7 @@ class AirspaceService:
     async def _heartbeat(self, ready: Callable[[], None]) -> None:
         said = False
         while True:
-            if self._listening:
-                self._channel.link.echoed()  # nothing was sent that could come back
-            elif self._channel.link.up:
+            if self._channel.link.up and not self._listening:
                 self._tell()
             if not said and self._channel.link.up and not self._listening:
                 said = True

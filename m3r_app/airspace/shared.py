@@ -11,6 +11,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,7 @@ class SharedAirspace:
         self._remote = RemoteTraffic(say)
         self._channel = SignedChannel(broker, credentials, self._take, say, clock, wall_clock, self._doubt)
         self.publisher = StatePublisher(self._channel, clock)
+        self._channel.link.speaks = lambda: self.publisher.tells
         self._inbox = AnswerTopic(credentials.name, secrets.token_hex(8))
         self._pending: dict[str, _Pending] = {}
         self._claims: dict[str, _Claimed] = {}
@@ -84,7 +86,7 @@ class SharedAirspace:
         self._authority_heard = True
         self._opened_at_s = clock()
         self._linked: Mapping[str, Callable[[], Reported]] = {}
-        self._tasks: list[asyncio.Task[None]] = []
+        self._life = AsyncExitStack()
         self._told_dropped: set[str] = set()
 
     # ------------------------------------------------------------ its life
@@ -92,10 +94,11 @@ class SharedAirspace:
     async def open(self) -> None:
         """Connect. Raises AirError with one sentence if that cannot be."""
         self._listen()
-        self._tasks.append(asyncio.create_task(self._channel.link.run()))
-        await self._channel.link.open()
+        await self._life.enter_async_context(self._channel.link.kept())
         self._opened_at_s = self._clock()
-        self._tasks.append(asyncio.create_task(self._keep()))
+        keeping = asyncio.create_task(self._keep())
+        self._life.push_async_callback(asyncio.wait, {keeping})
+        self._life.callback(keeping.cancel)
 
     async def close(self) -> None:
         """Let go what is claimed, and disconnect."""
@@ -104,11 +107,9 @@ class SharedAirspace:
         if self.dropped:
             counts = ", ".join(f"{reason} {count}" for reason, count in sorted(self.dropped.items()))
             self._say(f"messages dropped in the shared air: {counts}")
-        await asyncio.sleep(0.05 if self._tasks else 0.0)  # the last words leave
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._tasks.clear()
+        if self._channel.link.up:
+            await asyncio.sleep(0.05)  # the last words leave
+        await self._life.aclose()
 
     def watch(self, linked: Mapping[str, Callable[[], Reported]]) -> None:
         """The drones that we see by ourselves: they are no neighbours from hearsay."""
@@ -141,8 +142,6 @@ class SharedAirspace:
             self._pending = {k: p for k, p in self._pending.items() if p.late_at_s > now_s}
             self._listen()
             self._tell_dropped()
-            if not self.publisher.tells:
-                self._channel.link.echoed()  # nothing was sent that could come back
             for drone, claimed in self._claims.items():
                 if claimed.refused is None:
                     self._renew(drone, claimed)

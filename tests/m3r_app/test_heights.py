@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from m3r_app.heights import disagreements, terrain_amsl_m
+from m3r_app.heights import disagreements
 from m3r_app.vehicle.telemetry import NEVER_HEARD, Telemetry
 from safety.frames import LocalFrame
 from safety.limits import Limits
@@ -83,7 +83,3 @@ def test_accuracy_that_is_unknown_explains_nothing() -> None:
     """It is refused by others; here it must not look like an explanation."""
     blind = replace(drone(30.0, in_air=False), sigma_v_m=math.nan)
     assert disagreements(blind, FRAME, OPERATOR, FLAT, Limits()) == ()
-
-
-def test_the_height_of_the_ground() -> None:
-    assert terrain_amsl_m(FLAT, FRAME.geodetic(Ned(30.0, 5.0, -80.0)), FRAME) == pytest.approx(500.0, abs=1e-3)

@@ -53,21 +53,16 @@ async def _visit(broker: Broker, who: Credentials) -> tuple[float, bool]:
 
     def take(received: Received) -> None:
         if isinstance(received.topic, HeldTopic):
-            exchange.link.echoed()
             heard.set()
 
     exchange = SignedChannel(broker, who, take, lambda _: None)
     exchange.listen((str(HeldTopic(who.area)),))
     began_s = time.monotonic()
-    link = asyncio.create_task(exchange.link.run())
-    try:
-        await exchange.link.open()
+    exchange.link.speaks = lambda: False
+    async with exchange.link.kept():
         connected_ms = 1000.0 * (time.monotonic() - began_s)
         try:
             await asyncio.wait_for(heard.wait(), AUTHORITY_S)
         except TimeoutError:
             return connected_ms, False
         return connected_ms, True
-    finally:
-        link.cancel()
-        await asyncio.gather(link, return_exceptions=True)
