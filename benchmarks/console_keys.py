@@ -108,9 +108,9 @@ async def console(folder: Path) -> tuple[list[float], float]:
     live.start()
     app = Console(live, shown)
     async with app.run_test(size=SIZE):
-        await until(lambda: live.ended or live.picture is not None, "a picture")
+        await until(lambda: live.ended or live.snapshot is not None, "a snapshot")
         await until(
-            lambda: live.ended or (live.picture and live.picture.state.state == "ManeuverRequestArmed"), "armed"
+            lambda: live.ended or (live.snapshot and live.snapshot.state.state == "ManeuverRequestArmed"), "armed"
         )
         if live.ended:
             live.result()

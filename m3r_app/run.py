@@ -23,7 +23,7 @@ from m3r_app.airspace.interface import Airspace
 from m3r_app.airspace.local import LocalAirspace
 from m3r_app.arbiter.events import ClaimLost, Event, PairingAsked
 from m3r_app.arbiter.state import ArbiterState, Policy, Tally
-from m3r_app.environment.static_scene import stage_of
+from m3r_app.environment.static_scene import static_scene
 from m3r_app.exit_status import ExitStatus
 from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.options import RunOptions
@@ -217,7 +217,7 @@ class Run:
             for sentence in inputs.sentences:
                 self.announce(sentence)
             await _in_thread(lambda: self._open_sinks(setting, inputs))
-            self.record("stage", self.clock(), stage_of(setting.world, setting.operator))
+            self.record("stage", self.clock(), static_scene(setting.world, setting.operator))
             fleet = await connecting
             _return_freed_memory()
             return inputs, fleet

@@ -1,6 +1,8 @@
-"""A run in a thread of its own, for whoever has the main thread: asked from outside, seen as pictures, ended in order.
+"""A run in a thread of its own beside a console in the main thread: asked from outside, shown as snapshots, ended in
+order.
 
-The control loop never waits for who watches: a picture is made ten times a second and replaced whole, and asking only posts.
+The control loop never waits for the console: a snapshot is made ten times a second and replaced whole, and asking only
+posts.
 Source: design "The flow, one way": a console is one more modality.
 """
 
@@ -18,7 +20,7 @@ from dataclasses import replace
 from m3r_app.arbiter.events import LandingAsked, TakeOffAsked
 from m3r_app.options import RunOptions
 from m3r_app.run import Emit, Run
-from m3r_app.snapshot import Picture, craft, heard_of
+from m3r_app.snapshot import Snapshot, craft, heard_of
 from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
@@ -38,7 +40,7 @@ class Live:
         self_speech: when whoever speaks for us did, by `time.monotonic`.
         """
         self.clock = time.monotonic
-        self.picture: Picture | None = None
+        self.snapshot: Snapshot | None = None
         """The latest; None until the fleet is connected."""
         self._options = replace(options, console=True)
         self._emit = emit
@@ -91,7 +93,7 @@ class Live:
 
     def quit(self) -> None:
         """The operator leaves: the drone is left in Hold, and that is a normal end. Returns at once."""
-        if self.picture is None:
+        if self.snapshot is None:
             self.interrupt()
         self._post(lambda run: run.quitted.set())
 
@@ -153,4 +155,4 @@ class Live:
             )
             shell = run.shell
             told += heard_of(shell.state, frozenset(c.name for c in told), now_s)
-            self.picture = Picture(now_s, shell.state, run.setting, told, run.senses, shell.airspace.trouble)
+            self.snapshot = Snapshot(now_s, shell.state, run.setting, told, run.senses, shell.airspace.trouble)

@@ -72,7 +72,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class Snapshot:
     """One moment of a run."""
 
     at_s: float

@@ -1,4 +1,4 @@
-"""A script of timed requests: the scripted hand on the buttons.
+"""A script of timed requests, in place of a person at the buttons.
 
 One request a line, `#` begins a comment::
 
@@ -136,5 +136,5 @@ def _number(word: str, what: str, lowest: float, highest: float) -> float:
 
 
 def _clipped(text: str) -> str:
-    """As much of it as a sentence bears."""
+    """Shortened so that it fits into a sentence."""
     return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}...")

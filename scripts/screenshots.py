@@ -48,9 +48,9 @@ async def fly(folder: Path, size: tuple[int, int], theme: str, picture: Path) ->
                 await pilot.pause(0.1)
 
         def state() -> str:
-            return live.picture.state.state.value if live.picture is not None else ""
+            return live.snapshot.state.state.value if live.snapshot is not None else ""
 
-        await until(lambda: live.picture is not None)
+        await until(lambda: live.snapshot is not None)
         await pilot.pause(0.5)
         await pilot.press("1")
         await until(lambda: state() == "ManeuverRequestArmed")

@@ -138,7 +138,7 @@ def scene(story: Story) -> go.Figure:
     figure = go.Figure()
     middle = np.mean(story.track.places, axis=0) if story.track.places else np.zeros(3)
     ups = [-down for _, _, down in story.track.places]
-    ground = story.stage.get("ground")
+    ground = story.static_scene.get("ground")
     if isinstance(ground, dict):
         norths, easts, heights = (np.array(ground[key], dtype=float) for key in ("norths_m", "easts_m", "heights_m"))
         rows, columns = _near(norths, middle[0]), _near(easts, middle[1])
@@ -153,9 +153,9 @@ def scene(story: Story) -> go.Figure:
             name="ground",
             hovertemplate="ground %{z:.1f} m<extra></extra>",
         )
-    for one in story.stage.get("obstacles") or []:
+    for one in story.static_scene.get("obstacles") or []:
         figure.add_trace(_prism(one["name"], one["corners_ne_m"], one["base_m"], one["top_m"]))
-    for edge in story.stage.get("fence_ne_m") or []:
+    for edge in story.static_scene.get("fence_ne_m") or []:
         ends = [(north, east, middle[2]) for north, east in (edge[:2], edge[2:4])]
         _line(figure, ends, "geofence at the height flown", "#c2185b", 3, group="geofence at the height flown")
     if story.track.places:
@@ -174,7 +174,7 @@ def scene(story: Story) -> go.Figure:
         asked = [r for r in story.requests if r.verdict == verdict and r.place is not None]
         texts = [f"{r.t_s:.1f} s {r.command.replace('_', ' ')}: {verdict} {_metres(r)}" for r in asked]
         _marks(figure, [r.place for r in asked], texts, f"{verdict} requests", SIGNS[verdict], ink)
-    where = place_of(story.stage.get("operator"))
+    where = place_of(story.static_scene.get("operator"))
     if where is not None:
         _marks(figure, [where], ["operator"], "operator", "circle", "#e91e8c")
     low_m, high_m = min(ups, default=0.0) - 1.0, max(ups, default=0.0) + 6.0  # the workspace's ball has 5 m

@@ -1,6 +1,6 @@
 """Speaks cues: espeak-ng where it is, else a bell for the urgent ones. The newest replaces what waits.
 
-One thread owns all of it. The flight only queues events; whatever becomes of the sound, the flight does not notice.
+One thread does all of it. The control loop only queues events, so a failure of the sound never reaches it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ PROGRAM = "espeak-ng"
 WORDS = ("--stdin", "-v", "en", "-s", "165")
 """An English voice at 165 words per minute; the text comes by standard input."""
 LONGEST_S = 10.0
-"""No cue takes longer: a program that does hangs, and while it is running the operator's moves are not heard."""
+"""No cue takes longer, so a program that still runs then hangs; while it runs, moves by voice do not count."""
 SHORTEST_S = 0.2
-"""... and none is spoken faster: without a sound device espeak-ng ends at once, and calls that a success."""
+"""... and none takes less: without a sound device espeak-ng ends at once, with status 0."""
 LOOK_S = 0.05
 CLOSE_S = 2.0
 
@@ -98,7 +98,7 @@ class Speaker:
             self._cut_off()
 
     def _look(self) -> None:
-        """Is what is spoken over? Then what waits is next."""
+        """If the current cue has ended, speak the one that waits."""
         if self._speaking is not None:
             cue, process, since_s = self._speaking
             took_s, status = self._clock() - since_s, process.poll()

@@ -16,7 +16,7 @@ from safety.volumes import volumes_meet
 CLAIM_S = 5.0
 """A claim that is not renewed for this long is over."""
 WANTED_S = 30.0
-"""Somebody who was refused is the next one for so long after asking."""
+"""An operator who was refused stays first in line for this long after asking."""
 LEASES_MAX = 256
 CLAIMS_MAX = 256
 
@@ -33,7 +33,7 @@ class HeldBy:
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """Who was refused a drone last, and comes first when it gets free."""
+    """The operator who was last refused a drone and is first in line once it is free."""
 
     operator: str
     until_s: float
@@ -104,7 +104,7 @@ def claim(
 
 
 def give_up(a: Authority, drone: str, inbox: str, now_s: float) -> tuple[Authority, Verdict]:
-    """The holder lets it go, with every volume held for it. Whoever waits comes first from now on."""
+    """The holder releases it, with every volume held for it. Whoever waits is first in line from now on."""
     a = _expired(a, now_s)
     held = a.claims.get(drone)
     if held is None or held.inbox != inbox:
@@ -117,7 +117,7 @@ def give_up(a: Authority, drone: str, inbox: str, now_s: float) -> tuple[Authori
 def reserve(
     a: Authority, drone: str, inbox: str, fence: int, lease: str, volume: ReservedVolume, now_s: float
 ) -> tuple[Authority, Verdict]:
-    """The volume for a maneuver of a claimed drone, unless another drone holds one that meets it."""
+    """The volume for a maneuver of a claimed drone, unless it intersects one that another drone holds."""
     a = _expired(a, now_s)
     held = a.claims.get(drone)
     if held is None or held.inbox != inbox or held.fence != fence:

@@ -1,7 +1,8 @@
 """The connection to the broker: MQTT 5 by aiomqtt, always made anew, with what went wrong in one sentence.
 
 A client id is random and used once, so that nobody can throw us out by guessing it; no session and nothing queued outlives a
-connection. Connected is only who also reads their own messages back: a denied publish is silent, and so is a dead network.
+connection. A connection counts only while our own messages come back over it: a broker that denies a publish says
+nothing, and neither does a dead network.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""`m3r airspace`: the one authority of an area, over the broker. The decisions are `authority`'s; here are its ears and mouth.
+"""`m3r airspace`: the one authority of an area, over the broker. `authority` decides; this module receives what is
+asked and sends the answers.
 
-It hears itself: if nothing of its own comes back, nothing runs out until it does (nobody could renew). If it hears another one
-of its area, it ends, since two would each grant. For its first seconds it only renews what it remembers. Source: X10, P1.
+It also receives its own broadcasts: while they do not come back from the broker no claim expires, because nobody could
+have renewed it. If it receives another authority of its area it ends, because both would grant. During its first second
+it only renews claims that it has on file. Source: X10, P1.
 """
 
 from __future__ import annotations
@@ -35,10 +37,10 @@ from safety.vocabulary import Geodetic
 
 HEARTBEAT_S = 0.5
 LISTEN_S = 1.0
-"""So long after the start it only listens and renews: another authority would be heard by then."""
+"""For this long after the start it only listens and renews: another authority would have been heard by then."""
 AWAY_S = 1.2
 EARTH = LocalFrame(Geodetic(0.0, 0.0, 0.0))
-"""Any frame does: it is a rotation and a shift, so distances in it are those in space."""
+"""Any local frame will do: it differs from ECEF by a rotation and a shift, which keep distances."""
 
 
 class AirspaceService:

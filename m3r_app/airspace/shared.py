@@ -80,7 +80,7 @@ class SharedAirspace:
         self._epochs: dict[str, float] = {}
         self._fence = 0
         self._claim_fences: dict[str, int] = {}
-        """Of each drone's last claim: had again before it ran out, it is the same."""
+        """Of each drone's last claim; a claim that is renewed before it expires keeps its number."""
         self._back_at_s: dict[str, float] = {}
         self._wanted: frozenset[tuple[str, str]] = frozenset()
         self._authority_heard = True
@@ -112,7 +112,7 @@ class SharedAirspace:
         await self._life.aclose()
 
     def watch(self, linked: Mapping[str, Callable[[], Reported]]) -> None:
-        """The drones that we see by ourselves: they are no neighbours from hearsay."""
+        """The drones that this app has links to: what others say of them is ignored."""
         self._linked = linked
 
     @property
@@ -128,7 +128,7 @@ class SharedAirspace:
         return self._channel.dropped
 
     def _tell_dropped(self) -> None:
-        """Somebody who tries to get in is said once for each way of trying; the counts go on."""
+        """Announce each kind of attack once; all of them are counted."""
         for reason in ATTACKS:
             if self._channel.dropped[reason] and reason not in self._told_dropped:
                 self._told_dropped.add(reason)

@@ -95,7 +95,7 @@ class SignedChannel:
         try:
             envelope = self.verifier.open(message.topic, message.payload, signer)
         except Dropped as drop:
-            # A replay only shows that somebody repeats; a wrong clock means that we do not know where the drone is now.
+            # A replay only shows that somebody repeats messages; with a wrong clock the drone's place is unknown.
             if drop.signer is not None and drop.reason == "clock" and isinstance(topic, StateTopic):
                 self._doubt(topic.drone, "its clock and ours differ by more than 5 s, or its messages are late")
             return

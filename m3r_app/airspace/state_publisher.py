@@ -31,7 +31,7 @@ class Reported(Protocol):
 
 
 class StatePublisher:
-    """Publishes states that are known; what is not known is not told, and its silence is judged by whoever listens."""
+    """Publishes complete states only; an incomplete one is left out, and listeners judge the silence by its age."""
 
     def __init__(self, channel: SignedChannel, clock: Callable[[], float] = time.monotonic) -> None:
         self._channel = channel

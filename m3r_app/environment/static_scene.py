@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from safety.situation import World
 
 
-def stage_of(world: World, operator: Operator | None) -> dict[str, Any]:
-    """The stage in the session's frame: places north, east, down; levels and heights up; all in metres."""
+def static_scene(world: World, operator: Operator | None) -> dict[str, Any]:
+    """The static scene in the session's frame: places north, east, down; levels and heights up; all in metres."""
     centre = operator.position if operator is not None else Ned(0.0, 0.0, 0.0)
     fence = world.geofence
     levels = (

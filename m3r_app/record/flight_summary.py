@@ -84,7 +84,7 @@ class Story:
     anchors: list[tuple[float, Place, float]] = field(default_factory=list)
     """When, where, radius of the workspace."""
     margins: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
-    stage: Mapping[str, Any] = field(default_factory=dict)
+    static_scene: Mapping[str, Any] = field(default_factory=dict)
     """What stands still, as `m3r_app.environment.static_scene` made it."""
     gaps: int = 0
     """Messages that the record says it lacks."""
@@ -129,7 +129,7 @@ def story_of(messages: Iterable[tuple[str, float, Mapping[str, Any]]]) -> Story:
             _take(story, by_id, t_s, event)
         match topic:
             case "stage":
-                story.stage = data
+                story.static_scene = data
             case "telemetry":
                 _follow(story.track, t_s, data.get("position"), data.get("velocity"))
             case "neighbours":

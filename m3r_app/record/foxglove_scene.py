@@ -51,11 +51,11 @@ class Scene:
         self._trail: deque[tuple[float, list[float]]] = deque()
 
     def views(self, topic: str, data: Mapping[str, Any], log_ns: int) -> list[View]:
-        """The updates by this message; none where the scene stays as it is. Values that are no numbers are left out."""
+        """The updates by this message; none where the scene stays as it is. Values that are not finite are left out."""
         stamp = {"sec": log_ns // 1_000_000_000, "nsec": log_ns % 1_000_000_000}
         match topic:
             case "stage":
-                return _update("stage", stamp, _stage(data, stamp))
+                return _update("stage", stamp, _static_scene(data, stamp))
             case "telemetry":
                 return self._telemetry(data, stamp)
             case "anchor":
@@ -128,8 +128,8 @@ class Scene:
 # ---------------------------------------------------------------- what stands still
 
 
-def _stage(data: Mapping[str, Any], stamp: dict[str, int]) -> list[dict[str, Any]]:
-    """Ground, obstacles, fence, operator. data: `stage_of` made it."""
+def _static_scene(data: Mapping[str, Any], stamp: dict[str, int]) -> list[dict[str, Any]]:
+    """Ground, obstacles, fence, operator; on the topic "stage". data: made by `m3r_app.environment.static_scene`."""
     entities = []
     ground = data.get("ground")
     if isinstance(ground, dict):

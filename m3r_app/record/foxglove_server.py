@@ -27,7 +27,7 @@ HOST = "127.0.0.1"
 QUEUE_LENGTH = 1000
 AGAIN_S = 3.0
 LASTING = ("stage", "anchor", "plan")
-"""What is shown again this often, for whoever comes late: the latest of each."""
+"""The latest message of each of these is sent again this often, for viewers that connect late."""
 CLOSE_S = 5.0
 PER_VIEWER = 256
 """Messages that a slow viewer may be behind, before the oldest is dropped."""
@@ -68,7 +68,7 @@ class Viewer:
             self.dropped += 1
 
     def close(self) -> None:
-        """Let all viewers go."""
+        """Disconnect all viewers."""
         if self._messages.close(CLOSE_S):  # else its thread is stuck, and dies with the process
             self._server.stop()
 

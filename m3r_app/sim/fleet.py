@@ -1,6 +1,6 @@
 """The simulated fleet of a scenario: its drones and its traffic, in one loop that keeps real time.
 
-The ground stops a drone; walls and other drones do not. Whoever flies into one is found out by the record of the truth.
+The ground stops a drone; walls and other drones do not. The record of true states shows who flew into one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SQUITTER_S = 1.0
 SETTLE_S = 10.0
 """Flown before anybody watches, so that hovering drones have found the wind."""
 LATE_S = 0.2
-"""A process held up longer than this lets simulated time stand still for the rest, as if all had been frozen."""
+"""If the process is held up for longer than this, simulated time stops for the rest of the delay."""
 
 
 class Fleet:

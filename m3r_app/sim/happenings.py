@@ -1,4 +1,4 @@
-"""What a scenario lets happen to a simulated drone, each thing at its time. Source: m3r_app.environment.scenario, `[[vehicles.X.events]]`."""
+"""The events of a scenario, each made to happen to a simulated drone when it is due. Source: m3r_app.environment.scenario, `[[vehicles.X.events]]`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Happenings:
     """The events of one drone."""
 
     def __init__(self, events: tuple[scenario.Event, ...], link: VehicleLink) -> None:
-        """Begins to count now, which is "start"."""
+        """Times are counted from now, which is "start"."""
         self._link = link
         self._left = list(events)
         pilot = link.autopilot
@@ -31,10 +31,10 @@ class Happenings:
         self._first: Ned | None = None
         self._mend: list[tuple[float, int]] = []
         self.happened: list[str] = []
-        """The kinds of those that have, in order."""
+        """The kinds of the events that have happened, in order."""
 
     def tick(self) -> None:
-        """Let happen what is due. Call it after each tick of the autopilot."""
+        """Make the events happen that are due. Call it after each tick of the autopilot."""
         pilot = self._link.autopilot
         self._notice(pilot)
         for event in list(self._left):

@@ -1,4 +1,4 @@
-"""The words that a simulated autopilot speaks: modes, answers, severities, and the faults that can be injected. Pure.
+"""What a simulated autopilot reports: modes, results, severities, and the faults that can be injected. Pure.
 
 Source: PX4 1.17 custom modes, MAVLink common enumerations.
 """
@@ -30,7 +30,7 @@ class FlightMode(Enum):
 
     @property
     def title(self) -> str:
-        """What PX4 calls it when it speaks to people."""
+        """Its name in PX4's texts for people."""
         return {"LOITER": "Hold", "RTL": "Return", "POSCTL": "Position", "ALTCTL": "Altitude"}.get(
             self.name, self.name.capitalize()
         )

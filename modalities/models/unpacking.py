@@ -1,4 +1,6 @@
-"""Unpacking an archive that nobody has vouched for but its checksum: nothing lands outside its folder, and half of it never stays."""
+"""Unpacking an archive that nobody has vouched for but its checksum: nothing lands outside its folder, and an
+incomplete one is removed.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """*Stop*, heard through what the app itself is saying.
 
-A decoder that has followed the app's own words has no room left for the operator's. So while a cue is spoken the last moments
-are decoded anew, again and again, by themselves. Source: X4 (STOP from any modality, at any time), design 3.
+A decoder that has been following the app's own words takes the operator's for more of them. So while a cue is spoken,
+the last WINDOW_S of sound are decoded by themselves, again for every chunk. Source: X4 (STOP from any modality, at any time), design 3.
 """
 
 from __future__ import annotations

@@ -63,7 +63,9 @@ class CaptureClock:
 
 
 class Converter:
-    """Blocks of one stream, in a row, to chunks of 16 kHz mono 16-bit with their capture times. For a new row, a new one."""
+    """Blocks of one stream, in a row, to chunks of 16 kHz mono 16-bit with their capture times. Use a new one for each
+    unbroken row.
+    """
 
     def __init__(self, rate_hz: int, channels: int, chunk_samples: int = CHUNK_SAMPLES) -> None:
         self._channels = channels

@@ -1,7 +1,7 @@
 """Speech to requests with VOSK: two grammars on the same audio, STOP from partial results, a prompt end of utterance.
 
-One recogniser (the *commands* ear) knows the legal phrases and next to nothing else, as the paper's does; it finds them
-well but bends other speech into them. The other (the *words* ear) knows everyday words too. What an utterance was is
+One recogniser (the *commands* decoder) knows the legal phrases and next to nothing else, as the paper's does; it finds them
+well but bends other speech into them. The other (the *words* decoder) knows everyday words too. What an utterance was is
 decided by comparing how well each explains the audio. Source: paper section on voice-based maneuvers, design 3.
 """
 
@@ -39,7 +39,7 @@ SECOND_LONGEST_S = 3.0
 """No phrase takes longer: a longer utterance is not heard again."""
 SURE = 0.7
 STOP_GAP = 2.0
-"""A final *stop* of the commands ear alone counts if the words ear explains the audio better by no more than this."""
+"""A final *stop* of the commands decoder alone counts if the words decoder explains the audio better by no more than this."""
 BEFORE_VOICE_S = 0.5
 """Sound missing this shortly before a voice was heard may have held the beginning of what it said."""
 ALTERNATIVES = 8
@@ -48,7 +48,7 @@ UNKNOWN_WORD = "[unk]"
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What an ear takes the utterance for. score: log likelihood of audio and words (natural units, higher fits)."""
+    """What a decoder takes the utterance for. score: log likelihood of audio and words (natural units, higher fits)."""
 
     text: str
     score: float
@@ -116,7 +116,7 @@ class Decoder:
 
 
 class Recognizer:
-    """Both ears and the voice's end: chunks in, request candidates out. Synchronous, no clock; one per recording."""
+    """Both decoders and the end of the voice: chunks in, request candidates out. Synchronous, no clock; one per recording."""
 
     def __init__(self, model: Model, table: PhraseTable) -> None:
         """Raises ModelError if the model does not know the word *stop*."""
@@ -217,7 +217,7 @@ class Recognizer:
         self._voice.forget()
 
     def _stop_stands(self) -> bool:
-        """STOP: the word stands in two successive partial results, and the words ear has nothing else in its place."""
+        """STOP: the word stands in two successive partial results, and the words decoder has nothing else in its place."""
         partial = self._commands.partial.split()
         self._stop_partials = self._stop_partials + 1 if STOP_WORD in partial else 0
         if self._stopped or self._stop_partials < 2:
@@ -295,7 +295,7 @@ class Recognizer:
         return Heard(phrase.command, phrase.colour, confidence, text, end_s, now_s)
 
     def _phrase_in(self, commands: list[Hypothesis], words: list[Hypothesis]) -> tuple[Phrase | None, str]:
-        """What the commands ear heard; where that is no phrase ("down up"), what the words ear heard if the commands ear
+        """What the commands decoder heard; where that is no phrase ("down up"), what the words decoder heard if the commands decoder
         holds it possible too.
         """
         for text in (commands[0].text, words[0].text):
@@ -310,24 +310,24 @@ def _noisy(samples: Samples, room: np.random.Generator, noise: float) -> bytes:
     return np.clip(np.rint(noisy), -32768, 32767).astype(np.int16).tobytes()
 
 
-# How sure to be: logistic regression of "this phrase was said" on what the two ears say, fitted on single-word and joined
+# How sure to be: logistic regression of "this phrase was said" on what the two decoders say, fitted on single-word and joined
 # recordings of 94 people and on synthetic voices saying every phrase and near misses ("come back", "blow up"), and checked
 # on people left out of the fit. Log odds per unit; scores are natural log likelihoods.
 _BIAS = -0.66
 _PER_MARGIN = 0.53
-"""Per unit by which the words ear prefers the phrase to everything else that it could have been."""
+"""Per unit by which the words decoder prefers the phrase to everything else that it could have been."""
 _PER_GAP = -0.105
-"""Per unit by which the words ear explains the audio better than the commands ear does with the phrase."""
+"""Per unit by which the words decoder explains the audio better than the commands decoder does with the phrase."""
 _AGREE = 2.36
-"""Where the words ear takes it for the same request."""
+"""Where the words decoder takes it for the same request."""
 _MARGIN_LIMIT = 3.0
 _GAP_LIMIT = 12.0
 _FAR_APART = -4.0
-"""The words ear explaining the audio much *worse* without the phrase means that it lost track: that is no support."""
+"""The words decoder explaining the audio much *worse* without the phrase means that it lost track: that is no support."""
 
 
 def confidence_of(commands: list[Hypothesis], words: list[Hypothesis], phrase: Phrase, table: PhraseTable) -> float:
-    """How likely it is that the phrase was said, 0 to 1, by what both ears made of the utterance. Measured, see above."""
+    """How likely it is that the phrase was said, 0 to 1, by what both decoders made of the utterance. Measured, see above."""
 
     def score(hypotheses: list[Hypothesis], *, of_phrase: bool) -> float:
         fitting = [h.score for h in hypotheses if (table.interpret(h.text) == phrase) is of_phrase]

@@ -44,7 +44,8 @@ BACK_OFF_S = (0.25, 4.0)
 REPEAT_S = 10.0
 """Lost sound is announced no more often than this."""
 TALK_TAIL_S = 0.25
-"""How much longer than push-to-talk is held the operator is heard: thumbs are quicker than last syllables."""
+"""How long the operator is still heard after push-to-talk ends: the key is often released before the last syllable is
+over."""
 _WRONG_SHAPE = (-9998, -9997)
 """PortAudio's codes for a number of channels or a rate that the device does not have: others may be tried."""
 

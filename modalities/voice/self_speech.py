@@ -7,7 +7,7 @@ import threading
 from collections import deque
 
 TAIL_S = 0.3
-"""So long a room and a sound card go on after the last word."""
+"""How long the echo of a room and the buffers of a sound card go on after the last word."""
 KEPT = 64
 """Older utterances than this many are of no use: no voice is that long."""
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from m3r_app.environment.ground import Ground
-from m3r_app.environment.static_scene import stage_of
+from m3r_app.environment.static_scene import static_scene
 from m3r_app.options import RunOptions
 from m3r_app.plain import plain
 from m3r_app.ports import LinkError
@@ -33,9 +33,9 @@ SECOND = 1_000_000_000
 HERE = [14.0, 0.0, -6.0]
 
 
-def shipped_stage() -> dict[str, Any]:
+def shipped_scene() -> dict[str, Any]:
     setting = prepare(RunOptions())
-    return stage_of(setting.world, setting.operator)
+    return static_scene(setting.world, setting.operator)
 
 
 def follows(value: Any, schema: dict[str, Any], where: str = "") -> None:
@@ -71,7 +71,7 @@ def entities(messages: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def test_the_stage_is_ground_obstacles_fence_and_operator() -> None:
-    stage = entities(updates(Scene(), "stage", **shipped_stage()))
+    stage = entities(updates(Scene(), "stage", **shipped_scene()))
     assert set(stage) == {"ground", "obstacles", "fence", "operator"}
     mesh = stage["ground"]["triangles"][0]
     assert len(mesh["points"]) == 61 * 61
@@ -272,7 +272,7 @@ async def test_a_viewer_can_only_look() -> None:
         await ws.send_json({"op": "setParameters", "parameters": [{"name": "workspace_m", "value": 500}]})
 
     try:
-        viewer.record("stage", 0.0, shipped_stage())
+        viewer.record("stage", 0.0, shipped_scene())
         await watched(port, {"/view/scene/stage"}, meddle)
     finally:
         viewer.close()

@@ -1,4 +1,4 @@
-"""A console on a stage: the real screen, and in place of a run a picture that is set by hand and a list of what was asked."""
+"""A console on a stage: the real screen, and in place of a run a snapshot that is set by hand and a list of what was asked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
-from m3r_app.snapshot import Craft, Picture
+from m3r_app.snapshot import Craft, Snapshot
 from safety.limits import Limits
 from safety.vocabulary import (
     Anchor,
@@ -35,8 +35,8 @@ NOW_S = 100.0
 class Stage:
     """In place of `m3r_app.run_thread.Live`."""
 
-    def __init__(self, picture: Picture | None) -> None:
-        self.picture = picture
+    def __init__(self, snapshot: Snapshot | None) -> None:
+        self.snapshot = snapshot
         self.asked: list[tuple[Command, str | None]] = []
         self.ground: list[tuple[str, str]] = []
         self.ended = False
@@ -80,7 +80,7 @@ def craft(name: str, place: Ned | None, **changes: Any) -> Craft:
     return replace(whole, **changes)
 
 
-def flying_picture(setting: Setting, *, paired: bool = True, state: State = State.ARMED) -> Picture:
+def flying_snapshot(setting: Setting, *, paired: bool = True, state: State = State.ARMED) -> Snapshot:
     """Red at 6 m before the operator, green beside, blue on the ground, the courier passing by."""
     operator = setting.operator
     assert operator is not None
@@ -111,7 +111,7 @@ def flying_picture(setting: Setting, *, paired: bool = True, state: State = Stat
         craft("blue", Ned(-6.0, 8.0, 0.0), in_air=False),
         craft("courier", Ned(5.8, 9.0, -6.5), velocity=Ned(0.0, 2.5, 0.0), age_s=1.4, ours=False),
     )
-    return Picture(NOW_S, arbiter, setting, (craft("red", HERE), *others))
+    return Snapshot(NOW_S, arbiter, setting, (craft("red", HERE), *others))
 
 
 def hillside() -> Setting:

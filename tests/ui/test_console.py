@@ -22,7 +22,7 @@ from textual.widgets._toast import Toast
 from m3r_app.run_setup import Setting
 from safety.vocabulary import Command, State
 from tests.told import told
-from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_picture, hillside, text_of
+from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_snapshot, hillside, text_of
 from ui.console.keys import FLOOD, KEYS
 from ui.console.prompts import READ_S, Help, Question
 from ui.console.terminal import PlainSigns, is_plain, plain_signs
@@ -64,7 +64,7 @@ async def until(pilot: Pilot[Any], condition: Callable[[], bool], within_s: floa
 
 
 async def test_a_key_asks(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     async with console(stage).run_test(size=SMALL) as pilot:
         for key in KEYS:
             stage.now_s += 1.0
@@ -74,7 +74,7 @@ async def test_a_key_asks(setting: Setting) -> None:
 
 @pytest.mark.parametrize("size", [SMALL, LARGE])
 async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, int]) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     asked = [command for command in Command if command not in (Command.ACTIVATE, Command.DISCONNECT)]
     async with console(stage).run_test(size=size) as pilot:
         for command in asked:
@@ -84,7 +84,7 @@ async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, in
 
 
 async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting, paired=False))
+    stage = Stage(flying_snapshot(setting, paired=False))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.pause(0.3)
         await pilot.press("2")
@@ -96,7 +96,7 @@ async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
 
 
 async def test_stop_from_every_focus(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause(0.3)
@@ -122,7 +122,7 @@ async def test_stop_from_every_focus(setting: Setting) -> None:
 
 
 async def test_moves_are_not_flown_from_an_open_question(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("x")
         for key in KEYS:
@@ -132,7 +132,7 @@ async def test_moves_are_not_flown_from_an_open_question(setting: Setting) -> No
 
 
 async def test_too_small_says_how_large_and_still_stops(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=(79, 24)) as pilot:
         for size in ((79, 24), (80, 23), (20, 5), (1, 1)):
@@ -152,7 +152,7 @@ async def test_too_small_says_how_large_and_still_stops(setting: Setting) -> Non
 
 async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> None:
     """Also questions are not answered by it: nobody has read them."""
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         for _ in range(4):
@@ -171,7 +171,7 @@ async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> Non
 
 
 async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("x")
         for _ in range(8):
@@ -182,7 +182,7 @@ async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setti
         await pilot.press("y")
         await pilot.pause()
         assert stage.commands == [Command.DISCONNECT]
-        stage.picture = flying_picture(setting, paired=False)
+        stage.snapshot = flying_snapshot(setting, paired=False)
         for _ in range(FLOOD):
             await pilot.press("left")
         await pilot.press("q")
@@ -194,7 +194,7 @@ async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setti
 
 
 async def test_m_opens_the_microphone(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("m")
     assert stage.talked
@@ -202,7 +202,7 @@ async def test_m_opens_the_microphone(setting: Setting) -> None:
 
 
 async def test_a_held_key_asks_once(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     async with console(stage).run_test(size=SMALL) as pilot:
         for _ in range(5):
             await pilot.press("left")
@@ -214,7 +214,7 @@ async def test_disconnecting_and_leaving_are_confirmed_and_name_the_drone(
     setting: Setting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         for key, words in (("x", "Red: disconnect?"), ("q", "Red: leave?")):
@@ -243,13 +243,13 @@ async def test_take_off_and_landing_are_confirmed_and_only_without_a_session(
     setting: Setting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("o")
         await pilot.pause()
         assert not isinstance(app.screen, Question)
-        stage.picture = flying_picture(setting, paired=False)
+        stage.snapshot = flying_snapshot(setting, paired=False)
         await pilot.pause(0.3)
         stage.now_s += 1.0
         await pilot.press("o")
@@ -268,7 +268,7 @@ async def test_looking_first_shows_what_a_request_would_become(
     setting: Setting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=LARGE) as pilot:
         await pilot.press("d")
@@ -291,7 +291,7 @@ async def test_looking_first_shows_what_a_request_would_become(
 
 async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting) -> None:
     for events, expected in ((STORY, 0), ([*STORY, REJECTED], 1)):
-        app = console(Stage(flying_picture(setting)), list(events))
+        app = console(Stage(flying_snapshot(setting)), list(events))
         async with app.run_test(size=SMALL) as pilot:
             await pilot.pause(0.3)
             await until(pilot, lambda: len(app._notifications) == expected)  # noqa: B023
@@ -301,7 +301,7 @@ async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting
 
 @pytest.mark.parametrize("size", [SMALL, LARGE])
 async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting, size: tuple[int, int]) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage, [REJECTED] * 6)
     async with app.run_test(size=size, notifications=True) as pilot:
         await until(pilot, lambda: bool(app.screen.query(Toast)))
@@ -315,7 +315,7 @@ async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting,
 
 
 async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
-    app = console(Stage(flying_picture(setting)))
+    app = console(Stage(flying_snapshot(setting)))
     async with app.run_test(size=SMALL, notifications=True) as pilot:
         for number in range(5):
             finding = {
@@ -332,7 +332,7 @@ async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
 
 
 async def test_a_refusal_says_what_was_asked(setting: Setting) -> None:
-    app = console(Stage(flying_picture(setting)), [REJECTED])
+    app = console(Stage(flying_snapshot(setting)), [REJECTED])
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: "rejected, 1.00 m asked" in text_of(drawn(app)))
 
@@ -341,9 +341,9 @@ async def test_with_many_drones_every_answer_is_on_the_screen_and_named(
     setting: Setting, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    picture = flying_picture(setting, paired=False)
+    snapshot = flying_snapshot(setting, paired=False)
     names = ("red", "green", "blue", "yellow", "magenta", "cyan", "white", "orange", "purple")
-    stage = Stage(replace(picture, craft=tuple(replace(picture.craft[0], name=name) for name in names)))
+    stage = Stage(replace(snapshot, craft=tuple(replace(snapshot.craft[0], name=name) for name in names)))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("l")
@@ -357,7 +357,7 @@ async def test_with_many_drones_every_answer_is_on_the_screen_and_named(
 
 
 async def test_a_long_preview_is_read_by_keys(setting: Setting) -> None:
-    app = console(Stage(flying_picture(setting)))
+    app = console(Stage(flying_snapshot(setting)))
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("d", "pagedown")
         await pilot.pause(0.3)
@@ -367,7 +367,7 @@ async def test_a_long_preview_is_read_by_keys(setting: Setting) -> None:
 
 
 async def test_the_whole_caption_is_shown(setting: Setting) -> None:
-    app = console(Stage(flying_picture(setting)))
+    app = console(Stage(flying_snapshot(setting)))
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: "C courier" in text_of(drawn(app)))
         await pilot.press("v")
@@ -375,7 +375,7 @@ async def test_the_whole_caption_is_shown(setting: Setting) -> None:
 
 
 async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setting: Setting) -> None:
-    app = console(Stage(flying_picture(setting)))
+    app = console(Stage(flying_snapshot(setting)))
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("ctrl+p")
         await until(pilot, lambda: "Red: ask to go left" in text_of(drawn(app)))
@@ -384,9 +384,9 @@ async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setting: S
 
 @pytest.mark.parametrize("theme", ["textual-dark", "textual-light"])
 async def test_a_neighbour_of_no_colour_is_seen_in_both_themes(setting: Setting, theme: str) -> None:
-    picture = flying_picture(setting)
-    fresh = tuple(replace(one, age_s=0.1) for one in picture.craft)
-    app = console(Stage(replace(picture, craft=fresh)))
+    snapshot = flying_snapshot(setting)
+    fresh = tuple(replace(one, age_s=0.1) for one in snapshot.craft)
+    app = console(Stage(replace(snapshot, craft=fresh)))
     async with app.run_test(size=SMALL) as pilot:
         app.theme = theme
         await pilot.pause(1.2)
@@ -410,7 +410,7 @@ def _told(strip: Strip) -> str:
 
 
 async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -> None:
-    stage = Stage(flying_picture(setting))
+    stage = Stage(flying_snapshot(setting))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("ctrl+c")
@@ -444,7 +444,7 @@ async def test_the_screen_is_as_it_was(
     setting: Setting, name: str, size: tuple[int, int], theme: str, paired: bool, state: State
 ) -> None:
     """M3R_UPDATE_SNAPSHOTS=1 renews them; look at them then."""
-    stage = Stage(flying_picture(setting, paired=paired, state=state))
+    stage = Stage(flying_snapshot(setting, paired=paired, state=state))
     app = console(stage, list(STORY) if paired else [])
     async with app.run_test(size=size) as pilot:
         app.theme = theme
@@ -466,7 +466,7 @@ async def test_the_screen_is_as_it_was(
 
 async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LC_ALL", "C")
-    app = console(Stage(flying_picture(setting)), list(STORY))
+    app = console(Stage(flying_snapshot(setting)), list(STORY))
     assert app.plain
     async with app.run_test(size=LARGE) as pilot:
         await pilot.pause(0.4)
@@ -484,8 +484,8 @@ async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch
 
 async def test_without_colour_the_signs_tell(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
-    picture = flying_picture(setting)
-    low = replace(picture, craft=(replace(picture.craft[0], battery=0.1, link_age_s=9.0), *picture.craft[1:]))
+    snapshot = flying_snapshot(setting)
+    low = replace(snapshot, craft=(replace(snapshot.craft[0], battery=0.1, link_age_s=9.0), *snapshot.craft[1:]))
     app = console(Stage(low), [*STORY, REJECTED])
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause(0.4)
@@ -528,7 +528,7 @@ def test_plain_signs_keep_their_cells() -> None:
 
 async def test_every_button_shows_its_whole_label(setting: Setting) -> None:
     for size in (SMALL, LARGE):
-        app = console(Stage(flying_picture(setting)))
+        app = console(Stage(flying_snapshot(setting)))
         async with app.run_test(size=size) as pilot:
             await pilot.pause(0.3)
             for button in app.screen.query(Button):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
 from m3r_app.run_setup import Setting, prepare
-from m3r_app.snapshot import NOWHERE_M, Craft, Picture, margins
+from m3r_app.snapshot import NOWHERE_M, Craft, Snapshot, margins
 from m3r_app.snapshot import craft as craft_of
 from m3r_app.vehicle.telemetry import NEVER_HEARD
 from safety.limits import Limits
@@ -33,16 +33,16 @@ def craft(name: str, place: Ned | None, **changes: object) -> Craft:
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 
-def picture(setting: Setting, *others: Craft, **changes: object) -> Picture:
+def snapshot(setting: Setting, *others: Craft, **changes: object) -> Snapshot:
     operator = setting.operator
     assert operator is not None
     session = Session("red", operator, setting.world, 0.0, Anchor(HERE, 180.0, 0.0), HERE)
     state = ArbiterState(Limits(), Policy(), session=session)
-    return Picture(10.0, state, setting, (craft("red", HERE, **changes), *others))
+    return Snapshot(10.0, state, setting, (craft("red", HERE, **changes), *others))
 
 
 def test_the_map_shows_drone_operator_anchor_obstacles_fence_and_ground(setting: Setting) -> None:
-    drawing = from_above(picture(setting, craft("green", Ned(10.0, 5.0, -8.0))), 15.0, 2.0)
+    drawing = from_above(snapshot(setting, craft("green", Ned(10.0, 5.0, -8.0))), 15.0, 2.0)
     kinds = {stroke.kind for stroke in drawing.strokes}
     assert {"anchor", "fence", "obstacle", "contour", "heading"} <= kinds
     signs = {mark.kind: mark for mark in drawing.marks}
@@ -54,7 +54,7 @@ def test_the_map_shows_drone_operator_anchor_obstacles_fence_and_ground(setting:
 
 
 def test_the_side_shows_the_height_over_the_ground(setting: Setting) -> None:
-    drawing = from_side(picture(setting), 10.0, 2.0)
+    drawing = from_side(snapshot(setting), 10.0, 2.0)
     drone = next(mark for mark in drawing.marks if mark.kind == "drone")
     ground = next(stroke for stroke in drawing.strokes if stroke.kind == "ground")
     assert drone.y == pytest.approx(6.0)
@@ -67,13 +67,13 @@ def test_the_side_shows_the_height_over_the_ground(setting: Setting) -> None:
     ("yaw_deg", "sign"), [(0.0, "↑"), (90.0, "→"), (180.0, "↓"), (-90.0, "←"), (44.9, "↗"), (math.nan, "?")]
 )
 def test_the_arrow_is_the_heading(setting: Setting, yaw_deg: float, sign: str) -> None:
-    drawing = from_above(picture(setting, yaw_deg=yaw_deg), 15.0, 2.0)
+    drawing = from_above(snapshot(setting, yaw_deg=yaw_deg), 15.0, 2.0)
     assert next(mark.sign for mark in drawing.marks if mark.kind == "drone") == sign
 
 
 def test_a_silent_neighbour_is_drawn_stale_with_where_it_could_be(setting: Setting) -> None:
     silent = craft("courier", Ned(20.0, 5.0, -6.0), velocity=Ned(2.0, 0.0, 0.0), age_s=3.0, ours=False)
-    shown = picture(setting, silent)
+    shown = snapshot(setting, silent)
     drawing = from_above(shown, 15.0, 2.0)
     assert "stale" in {mark.kind for mark in drawing.marks}
     spread = next(stroke for stroke in drawing.strokes if stroke.kind == "spread")
@@ -96,7 +96,7 @@ def test_whatever_a_drone_tells_there_is_a_picture(
     """Unknown and absurd places are left out, never a crash."""
     place = Ned(north, east, down) if known else None
     told = {"yaw_deg": yaw_deg, "age_s": age_s, "link_age_s": age_s}
-    shown = picture(setting, craft("green", place, **told), **told)
+    shown = snapshot(setting, craft("green", place, **told), **told)
     lost = replace(shown, craft=(replace(shown.craft[0], position=place), *shown.craft[1:]))
     for one in (shown, lost):
         reach_m = reach_of_all(one)

@@ -1,4 +1,4 @@
-"""The console: keys and buttons become requests of the panel, a picture of the run becomes the screen.
+"""The console: keys and buttons become requests of the panel, a snapshot of the run is drawn on the screen.
 
 It composes and shows; it decides nothing, and the run does not wait for it. Source: design "Command line", paper III-A.
 """
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
     from m3r_app.output import Told
     from m3r_app.run_thread import Live
-    from m3r_app.snapshot import Picture
+    from m3r_app.snapshot import Snapshot
     from ui.console.seat import Seat
 
 REFRESH_S = 0.2
-"""Faster than this nobody reads, and drawing shares the interpreter with the control loop."""
+"""Nobody reads faster, and drawing takes time from the control loop."""
 TURNS = ("#above", "#side", "#above", "#skeleton")
 """What is drawn at one look after another."""
 LARGE = (120, 40)
@@ -189,38 +189,38 @@ class Flying(Screen[None]):
     # ------------------------------------------------------------ looking
 
     def look(self) -> None:
-        """Show what there is now; however much has come since the last look, it is one look."""
-        picture = self._live.picture
-        self._read_events(picture)
-        if picture is not None and not self._colours:
-            self._show_colours(picture)
-        self._show("#title", panels.title(picture, dry_run=self._dry_run, looking=self._looking))
+        """Draw the latest snapshot; all that has come since the last one is drawn together."""
+        snapshot = self._live.snapshot
+        self._read_events(snapshot)
+        if snapshot is not None and not self._colours:
+            self._show_colours(snapshot)
+        self._show("#title", panels.title(snapshot, dry_run=self._dry_run, looking=self._looking))
         facts = self.query_one("#facts").content_size.width
-        if picture is not None:
-            self._show("#margins", panels.margins(margins(picture.state, picture.paired, picture.at_s), facts))
-        self._show("#modes", panels.modes(picture))
-        self._show("#senses", panels.senses(picture, self._last, facts))
+        if snapshot is not None:
+            self._show("#margins", panels.margins(margins(snapshot.state, snapshot.paired, snapshot.at_s), facts))
+        self._show("#modes", panels.modes(snapshot))
+        self._show("#senses", panels.senses(snapshot, self._last, facts))
         self._looks += 1
-        if picture is not None and not self.has_class("too-small"):
-            self._draw(picture, self._looks % len(TURNS))
+        if snapshot is not None and not self.has_class("too-small"):
+            self._draw(snapshot, self._looks % len(TURNS))
 
-    def _draw(self, picture: Picture, turn: int) -> None:
-        """One view at a time, in turns: a key waits for no more than one."""
+    def _draw(self, snapshot: Snapshot, turn: int) -> None:
+        """Draw one view at a time, in turn, so that a key waits for one view at most."""
         selector = TURNS[turn]
         view = self.query_one(selector)
         if not view.display:
             return
         if isinstance(view, Skeleton):
-            view.draw(picture.taken.hands)
+            view.draw(snapshot.taken.hands)
         if not isinstance(view, View):
             return
-        reach_m = self._reach_m or reach_of_all(picture)
+        reach_m = self._reach_m or reach_of_all(snapshot)
         above = selector == "#above"
         both = self.has_class("large")
         drawing = (
-            from_above(picture, reach_m, view.aspect, self._asked)
+            from_above(snapshot, reach_m, view.aspect, self._asked)
             if above
-            else from_side(picture, 0.6 * reach_m if both else reach_m, view.aspect, self._asked)
+            else from_side(snapshot, 0.6 * reach_m if both else reach_m, view.aspect, self._asked)
         )
         view.draw(drawing, plain=bool(getattr(self.app, "plain", False)))
         if above or not both:
@@ -233,9 +233,9 @@ class Flying(Screen[None]):
             widget._m3r_shown = text  # type: ignore[attr-defined]
             widget.update(text)
 
-    def _read_events(self, picture: Picture | None) -> None:
+    def _read_events(self, snapshot: Snapshot | None) -> None:
         log = self.query_one("#log", RichLog)
-        session = picture.state.session if picture is not None else None
+        session = snapshot.state.session if snapshot is not None else None
         width = log.scrollable_content_region.width or None
         while self._events:
             told = self._events.popleft()
@@ -259,8 +259,8 @@ class Flying(Screen[None]):
         self._toasted_s.append(now_s)
         self.notify(text, severity="error", markup=False)
 
-    def _show_colours(self, picture: Picture) -> None:
-        self._colours = picture.setting.colours
+    def _show_colours(self, snapshot: Snapshot) -> None:
+        self._colours = snapshot.setting.colours
         row = self.query_one("#colours", Horizontal)
         buttons = [
             Key(f"{number} {colour.capitalize()}", f"pair-{number - 1}")
@@ -290,9 +290,9 @@ class Flying(Screen[None]):
         command = Command(name)
         if not self._believed(name):
             return
-        picture = self._live.picture
-        if self._looking and picture is not None:
-            self._look_first(command, picture)
+        snapshot = self._live.snapshot
+        if self._looking and snapshot is not None:
+            self._look_first(command, snapshot)
         else:
             self._live.ask(command)
 
@@ -323,9 +323,9 @@ class Flying(Screen[None]):
         self.set_class(self._side, "side")
 
     def action_zoom(self, by: float) -> None:
-        picture = self._live.picture
-        if picture is not None:
-            self._reach_m = min(80.0, max(3.0, (self._reach_m or reach_of_all(picture)) * by))
+        snapshot = self._live.snapshot
+        if snapshot is not None:
+            self._reach_m = min(80.0, max(3.0, (self._reach_m or reach_of_all(snapshot)) * by))
 
     def action_theme(self) -> None:
         self.app.theme = "textual-light" if self.app.current_theme.dark else "textual-dark"
@@ -349,8 +349,8 @@ class Flying(Screen[None]):
     @property
     def _colour(self) -> str | None:
         """The paired drone's name."""
-        picture = self._live.picture
-        session = picture.state.session if picture is not None else None
+        snapshot = self._live.snapshot
+        session = snapshot.state.session if snapshot is not None else None
         return session.colour.capitalize() if session is not None else None
 
     def _believed(self, key: str) -> bool:
@@ -369,13 +369,13 @@ class Flying(Screen[None]):
 
     def _ground(self, what: str, fits: Any, then: Any) -> None:
         """Take-off and landing, confirmed, of a drone that can be."""
-        picture = self._live.picture
-        if picture is None or not self._believed(what):
+        snapshot = self._live.snapshot
+        if snapshot is None or not self._believed(what):
             return
-        if picture.state.session is not None:
+        if snapshot.state.session is not None:
             self.notify(f"{self._colour}: disconnect first, to {what} is no maneuver", severity="warning")
             return
-        able = [c for c in picture.craft if c.ours and fits(c)]
+        able = [c for c in snapshot.craft if c.ours and fits(c)]
         if not able:
             self.notify(f"there is no drone that could {what}", severity="warning")
             return
@@ -385,9 +385,9 @@ class Flying(Screen[None]):
         question = f"{names}: {what}{height}? See that nobody is near. This is not checked against terrain or others."
         self._question(question, choices, then)
 
-    def _look_first(self, command: Command, picture: Picture) -> None:
+    def _look_first(self, command: Command, snapshot: Snapshot) -> None:
         request = self._live.request(command)
-        found = preview(picture.state, request, self._live.clock())
+        found = preview(snapshot.state, request, self._live.clock())
         name = self._colour or "No drone"
         self._question(
             preview_table(name, command, found),
@@ -453,7 +453,7 @@ class Console(App[None]):
         signal.signal(signal.SIGTSTP, lambda *_: self._refuse_to_suspend())
 
     async def on_event(self, event: events.Event) -> None:
-        """STOP before whatever has the focus sees the key: a field to type in would keep even a binding from it."""
+        """Handle STOP before the widget that has the focus sees the key: a text field would swallow it, binding or not."""
         if isinstance(event, events.Key) and event.is_printable and isinstance(self.screen, Question):
             self.screen.typed(event.time)
         if isinstance(event, events.Key) and event.key in STOP_KEYS:
@@ -504,8 +504,8 @@ class Console(App[None]):
         self.notify("a drone may depend on this app, so it cannot be suspended: leave it with q", severity="warning")
 
     def _end_with_the_run(self) -> None:
-        picture = self.live.picture
-        if self._seat is not None and picture is not None:
-            self._seat.tell(picture.state.session.colour if picture.state.session is not None else None)
+        snapshot = self.live.snapshot
+        if self._seat is not None and snapshot is not None:
+            self._seat.tell(snapshot.state.session.colour if snapshot.state.session is not None else None)
         if self.live.ended:
             self.exit()

@@ -1,4 +1,4 @@
-"""The situation from above and from the side, as lines and signs in metres. Pure: no terminal, no colours.
+"""The snapshot from above and from the side, as lines and signs in metres. Pure: no terminal, no colours.
 
 From above: x east, y north. From the side: x along the line from the operator to the drone, y height above the operator.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from m3r_app.snapshot import Craft, Picture
+    from m3r_app.snapshot import Craft, Snapshot
     from safety.polygons import Polygons
     from safety.situation import World
 
@@ -36,7 +36,7 @@ HEADING_M = 0.12
 STALE_S = 1.0
 """A neighbour older than that is drawn as such (tau_max's default)."""
 NEAR_PLANE_M = 8.0
-"""So near to the plane of the side view somebody is drawn in it."""
+"""A drone this near to the plane of the side view is drawn in it."""
 BOTH_M = 30.0
 """From nearer than this the operator is kept in view."""
 FARTHEST_M = 80.0
@@ -93,13 +93,13 @@ class Asked:
     granted_m: float | None
 
 
-def from_above(picture: Picture, reach_m: float, aspect: float, asked: Asked | None = None) -> Drawing:
+def from_above(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked | None = None) -> Drawing:
     """The map. reach_m: half the height in view; aspect: width over height of the view."""
-    centre = _focus(picture, reach_m)
+    centre = _focus(snapshot, reach_m)
     window = Window(
         centre.east - reach_m * aspect, centre.east + reach_m * aspect, centre.north - reach_m, centre.north + reach_m
     )
-    world, state = picture.setting.world, picture.state
+    world, state = snapshot.setting.world, snapshot.state
     strokes = list(_ground_from_above(world, window))
     strokes += [Stroke("fence", xs, ys) for xs, ys in _outlines(world.geofence.polygon if world.geofence else None)]
     strokes += [Stroke("obstacle", xs, ys) for xs, ys in _outlines(world.obstacles.polygons)]
@@ -111,14 +111,14 @@ def from_above(picture: Picture, reach_m: float, aspect: float, asked: Asked | N
             Stroke("anchor", place.east + radius_m * np.sin(CIRCLE), place.north + radius_m * np.cos(CIRCLE))
         )
         marks.append(Mark("anchor", place.east, place.north, "+"))
-    for kind, line in _plans(picture, asked):
+    for kind, line in _plans(snapshot, asked):
         strokes.append(Stroke(kind, line[:, 1], line[:, 0]))
-    operator = picture.setting.operator
+    operator = snapshot.setting.operator
     if operator is not None:
         marks.append(Mark("operator", operator.position.east, operator.position.north, "O"))
-    for one in _placed(picture):
+    for one in _placed(snapshot):
         place = one.position or Ned(0.0, 0.0, 0.0)
-        kind = _kind(one, picture)
+        kind = _kind(one, snapshot)
         if kind != "drone":
             spread_m = max(0.0, one.age_s) * (one.velocity.norm if one.velocity else 0.0)
             if spread_m > 0.05 * reach_m:
@@ -139,16 +139,16 @@ def from_above(picture: Picture, reach_m: float, aspect: float, asked: Asked | N
                     Stroke("heading", place.east + ahead * math.sin(yaw), place.north + ahead * math.cos(yaw), one.name)
                 )
             marks.append(Mark("drone", place.east, place.north, _arrow(one.yaw_deg), one.name))
-    return Drawing(window, tuple(strokes), tuple(marks), caption(picture))
+    return Drawing(window, tuple(strokes), tuple(marks), caption(snapshot))
 
 
-def from_side(picture: Picture, reach_m: float, aspect: float, asked: Asked | None = None) -> Drawing:
+def from_side(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked | None = None) -> Drawing:
     """Height against the ground, in the vertical plane through operator and drone (or along what is being flown)."""
-    world, state = picture.setting.world, picture.state
-    drone = picture.paired
-    here = drone.position if drone is not None and drone.position is not None else _focus(picture, reach_m)
-    operator = picture.setting.operator.position if picture.setting.operator is not None else Ned(0.0, 0.0, 0.0)
-    origin, along = _plane(picture, operator, here)
+    world, state = snapshot.setting.world, snapshot.state
+    drone = snapshot.paired
+    here = drone.position if drone is not None and drone.position is not None else _focus(snapshot, reach_m)
+    operator = snapshot.setting.operator.position if snapshot.setting.operator is not None else Ned(0.0, 0.0, 0.0)
+    origin, along = _plane(snapshot, operator, here)
 
     def at(place: Ned) -> tuple[float, float]:
         return _in_plane(place, origin, along)
@@ -177,25 +177,25 @@ def from_side(picture: Picture, reach_m: float, aspect: float, asked: Asked | No
             Stroke("anchor", at(place)[0] + radius_m * np.sin(CIRCLE), -place.down + radius_m * np.cos(CIRCLE))
         )
         marks.append(Mark("anchor", at(place)[0], -place.down, "+"))
-    for kind, line in _plans(picture, asked):
+    for kind, line in _plans(snapshot, asked):
         strokes.append(Stroke(kind, np.array([at(Ned(*p))[0] for p in line]), -line[:, 2]))
     marks.append(Mark("operator", at(operator)[0], -operator.down, "O"))
-    for one in _placed(picture):
+    for one in _placed(snapshot):
         place = one.position or Ned(0.0, 0.0, 0.0)
         beside_m = abs(at(place)[1])
         if one is drone:
             marks.append(Mark("drone", at(place)[0], -place.down, "◆", one.name))
         elif beside_m <= NEAR_PLANE_M:
-            marks.append(Mark(_kind(one, picture), at(place)[0], -place.down, one.name[:1].upper(), one.name))
+            marks.append(Mark(_kind(one, snapshot), at(place)[0], -place.down, one.name[:1].upper(), one.name))
     return Drawing(window, tuple(strokes), tuple(marks), "height above you, towards the drone")
 
 
-def caption(picture: Picture) -> str:
+def caption(snapshot: Snapshot) -> str:
     """Who is where, and how old that is."""
-    drone = picture.paired
+    drone = snapshot.paired
     here = drone.position if drone is not None else None
     told = ["O you"]
-    for one in picture.craft:
+    for one in snapshot.craft:
         if one is drone:
             continue
         away = (
@@ -210,13 +210,13 @@ def caption(picture: Picture) -> str:
     return " · ".join(told)
 
 
-def reach_of_all(picture: Picture) -> float:
+def reach_of_all(snapshot: Snapshot) -> float:
     """A reach that shows the paired drone and its operator well; without a pair, everybody who is near, m."""
-    centre, drone = _focus(picture, 10.0), picture.paired
-    shown = [drone] if drone is not None else [c for c in picture.craft if c.ours]
+    centre, drone = _focus(snapshot, 10.0), snapshot.paired
+    shown = [drone] if drone is not None else [c for c in snapshot.craft if c.ours]
     places = [c.position for c in shown if c.position is not None]
-    if picture.setting.operator is not None:
-        places.append(picture.setting.operator.position)
+    if snapshot.setting.operator is not None:
+        places.append(snapshot.setting.operator.position)
     far = [place.minus(centre).horizontal for place in places]
     return max((f for f in far if math.isfinite(f) and f < 60.0), default=10.0) * 1.1 + 4.0
 
@@ -224,19 +224,19 @@ def reach_of_all(picture: Picture) -> float:
 # ---------------------------------------------------------------- parts
 
 
-def _focus(picture: Picture, reach_m: float) -> Ned:
-    """The middle of drone and operator, in steps so that the picture does not tremble; without a pair, of everybody."""
-    drone = picture.paired
+def _focus(snapshot: Snapshot, reach_m: float) -> Ned:
+    """The middle of drone and operator, in steps, so that the view does not jitter; without a pair, of everybody."""
+    drone = snapshot.paired
     if drone is not None and drone.position is not None and drone.position.finite:
-        operator = picture.setting.operator
+        operator = snapshot.setting.operator
         middle = drone.position
         if operator is not None and middle.minus(operator.position).horizontal < BOTH_M:
             middle = Ned(*(0.5 * (a + b) for a, b in zip(middle, operator.position, strict=True)))
         step_m = reach_m / 4.0
         return Ned(*(round(c / step_m) * step_m for c in middle))
-    places = [c.position for c in picture.craft if c.ours and c.position is not None and c.position.finite]
-    if picture.setting.operator is not None:
-        places.append(picture.setting.operator.position)
+    places = [c.position for c in snapshot.craft if c.ours and c.position is not None and c.position.finite]
+    if snapshot.setting.operator is not None:
+        places.append(snapshot.setting.operator.position)
     if not places:
         return Ned(0.0, 0.0, 0.0)
     low = [min(along) for along in zip(*places, strict=True)]
@@ -244,15 +244,15 @@ def _focus(picture: Picture, reach_m: float) -> Ned:
     return Ned(*(round(0.5 * (a + b)) for a, b in zip(low, high, strict=True)))
 
 
-def _placed(picture: Picture) -> Iterator[Craft]:
+def _placed(snapshot: Snapshot) -> Iterator[Craft]:
     """Everybody whose place is known, the paired one last, so that it is drawn above all."""
-    known = [c for c in picture.craft if c.position is not None and c.position.finite]
-    yield from (c for c in known if c is not picture.paired)
-    yield from (c for c in known if c is picture.paired)
+    known = [c for c in snapshot.craft if c.position is not None and c.position.finite]
+    yield from (c for c in known if c is not snapshot.paired)
+    yield from (c for c in known if c is snapshot.paired)
 
 
-def _kind(one: Craft, picture: Picture) -> str:
-    if one is picture.paired:
+def _kind(one: Craft, snapshot: Snapshot) -> str:
+    if one is snapshot.paired:
         return "drone"
     return "stale" if not one.age_s <= STALE_S else "neighbour"
 
@@ -261,9 +261,9 @@ def _arrow(yaw_deg: float) -> str:
     return ARROWS[round(yaw_deg / 45.0) % 8] if math.isfinite(yaw_deg) else "?"
 
 
-def _plans(picture: Picture, asked: Asked | None) -> Iterator[tuple[str, Floats]]:
+def _plans(snapshot: Snapshot, asked: Asked | None) -> Iterator[tuple[str, Floats]]:
     """What was granted, and beyond it what was asked for and not granted; (n, 3) NED."""
-    flight, deciding = picture.state.flight, picture.state.deciding
+    flight, deciding = snapshot.state.flight, snapshot.state.deciding
     plan = flight.plan if flight is not None else deciding.decision.plan if deciding is not None else None
     if plan is None:
         return
@@ -348,9 +348,9 @@ def _runs(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     yield from zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True)
 
 
-def _plane(picture: Picture, operator: Ned, here: Ned) -> tuple[Ned, tuple[float, float]]:
+def _plane(snapshot: Snapshot, operator: Ned, here: Ned) -> tuple[Ned, tuple[float, float]]:
     """The vertical plane of the side view: a place in it, and its (north, east) direction."""
-    flight = picture.state.flight
+    flight = snapshot.state.flight
     if flight is not None:
         d = flight.plan.direction
         level = math.hypot(d.north, d.east)
@@ -359,7 +359,7 @@ def _plane(picture: Picture, operator: Ned, here: Ned) -> tuple[Ned, tuple[float
     away = here.minus(operator)
     if away.horizontal < 1.0:
         return operator, (1.0, 0.0)
-    bearing = round(math.degrees(math.atan2(away.east, away.north)) / 2.0) * 2.0  # in steps: it may not tremble
+    bearing = round(math.degrees(math.atan2(away.east, away.north)) / 2.0) * 2.0  # in steps, against jitter
     return operator, (math.cos(math.radians(bearing)), math.sin(math.radians(bearing)))
 
 

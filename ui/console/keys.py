@@ -1,7 +1,7 @@
-"""Which keys ask for what, and how many of them are believed. Pure.
+"""Which keys make which requests, and which key events are ignored. Pure.
 
-A held key repeats and a paste types faster than anybody asks: a request is what a person means, so of a flood nothing is
-asked but STOP.
+A held key repeats, and a paste arrives faster than a person types. The operator means none of these keys as requests,
+so all of them are ignored, except STOP.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KEYS: dict[str, Command] = {
 }
 """Textual's names of the keys that ask at once."""
 REPEAT_S = 0.4
-"""The same key again within this is a held key."""
+"""The same key again within this time counts as held down."""
 FLOOD = 6
 WITHIN_S = 0.5
 """More keys than FLOOD in this time were not typed by an operator."""
@@ -32,15 +32,15 @@ WITHIN_S = 0.5
 
 @dataclass
 class Keys:
-    """Remembers the keys of the last moments. Times in seconds, rising."""
+    """Remembers the keys pressed lately. Times in seconds, rising."""
 
     ignored: int = 0
-    """How many of the present flood were not believed."""
+    """How many keys of the present flood were ignored."""
     _last: dict[str, float] = field(default_factory=dict)
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=FLOOD + 1))
 
     def believes(self, key: str, now_s: float) -> bool:
-        """Whether this key is asked for. STOP is never brought here."""
+        """Whether this key makes a request. STOP is never passed through here."""
         self._recent.append(now_s)
         if self.flooded(now_s):
             self.ignored += 1

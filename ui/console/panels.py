@@ -1,4 +1,4 @@
-"""What stands beside the views: margins as bars, the mode machine, the modalities. Text from a picture; pure."""
+"""What stands beside the views: margins as bars, the mode machine, the modalities. Text from a snapshot; pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.text import Text
 from safety.vocabulary import Mode
 
 if TYPE_CHECKING:
-    from m3r_app.snapshot import Margin, Picture
+    from m3r_app.snapshot import Margin, Snapshot
 
 GOOD, NEAR, BROKEN, DIM, LIT = "green", "yellow", "bold red", "dim", "bold reverse"
 NEAR_SHARE = 0.2
@@ -48,29 +48,29 @@ def margins(found: tuple[Margin, ...], width: int) -> Text:
     return Text("\n").join(lines)
 
 
-def modes(picture: Picture | None) -> Text:
+def modes(snapshot: Snapshot | None) -> Text:
     """The modes, the present one lit, and its fine state."""
-    if picture is None:
+    if snapshot is None:
         return Text("starting", style=DIM)
     text, was_lit = Text(), False
     for mode, name in SHORT.items():
-        lit = picture.state.mode is mode
+        lit = snapshot.state.mode is mode
         text.append("[" if lit else "]" if was_lit else " ", style=DIM)
         text.append(name, style=LIT if lit else DIM)
         was_lit = lit
     text.append("]" if was_lit else " ", style=DIM)
-    state = picture.state
+    state = snapshot.state
     text.append(f"\n{state.state.value}", style="bold")
     if state.return_at_s is not None:
-        text.append(f", returning in {max(0.0, state.return_at_s - picture.at_s):.0f} s", style=NEAR)
+        text.append(f", returning in {max(0.0, state.return_at_s - snapshot.at_s):.0f} s", style=NEAR)
     return text
 
 
-def senses(picture: Picture | None, last: dict[str, tuple[float, float]], width: int) -> Text:
+def senses(snapshot: Snapshot | None, last: dict[str, tuple[float, float]], width: int) -> Text:
     """What each modality takes in. last: by modality, when the last request was made and its confidence."""
-    if picture is None:
+    if snapshot is None:
         return Text("")
-    taken, now_s = picture.taken, picture.at_s
+    taken, now_s = snapshot.taken, snapshot.at_s
     lines = []
     if math.isfinite(taken.level_at_s):
         share = min(1.0, max(0.0, 1.0 - taken.level_dbfs / QUIET_DBFS))
@@ -95,22 +95,22 @@ def senses(picture: Picture | None, last: dict[str, tuple[float, float]], width:
     return Text("\n").join(lines)
 
 
-def title(picture: Picture | None, *, dry_run: bool, looking: bool) -> Text:
+def title(snapshot: Snapshot | None, *, dry_run: bool, looking: bool) -> Text:
     """Who is paired, in which mode, and how to stop."""
     text = Text("M3R ", style="bold")
-    if picture is None:
+    if snapshot is None:
         return text.append("starting: models, fleet ...")
-    drone = picture.paired
+    drone = snapshot.paired
     if drone is None:
         text.append("no drone paired", style="bold")
     else:
         text.append(f" {drone.name.capitalize()} ", style=f"bold reverse {ink(drone.name)}")
-        text.append(f" {picture.state.mode.value}")
-        if drone.position is not None and picture.air_trouble is None:
+        text.append(f" {snapshot.state.mode.value}")
+        if drone.position is not None and snapshot.air_trouble is None:
             mode = drone.flight_mode.lower() if drone.flight_mode is not None else ""
             text.append(f"  {-drone.position.down:.1f} m up, {mode}", style=DIM)
-    if picture.air_trouble is not None:
-        text.append(f"  {picture.air_trouble}", style=BROKEN)
+    if snapshot.air_trouble is not None:
+        text.append(f"  {snapshot.air_trouble}", style=BROKEN)
     if dry_run:
         text.append("  dry run: nothing is flown", style=NEAR)
     elif looking:

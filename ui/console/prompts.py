@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import ClassVar
 
 READ_S = 0.5
-"""A question that has not been there for so long has not been read: keys of a paste do not answer it."""
+"""A question shown for less than this has not been read, so keys, of a paste for example, do not answer it yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,8 @@ class Question(ModalScreen[str | None]):
         self.action_answer("" if name == "no" else self._choices[int(name.removeprefix("yes-"))].answer)
 
     def typed(self, at_s: float) -> None:
-        """A sign was typed: what follows the one before it too soon is a paste that goes on, and answers nothing.
-
-        at_s: when; a key is told again as it bubbles up.
+        """A character was typed. One that follows the last too soon belongs to a paste and answers nothing. at_s: when;
+        the same key is reported again as it bubbles up.
         """
         if 0.0 < at_s - self._typed_s < READ_S:
             self._since_s = at_s

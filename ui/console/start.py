@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 LOOK_MS = 500
 LEAVE_S = 5.0
-"""The screen has so long to go after the run has ended."""
+"""How long the screen may take to close after the run has ended."""
 GONE = 1
 ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 """The terminal is gone, or somebody wants the end: the drone is left in Hold first."""
