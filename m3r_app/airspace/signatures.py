@@ -3,8 +3,8 @@
 One line before the body: `M3R1 KEY-ID LIFE SEQUENCE UNIX-MS MAC`, the MAC being HMAC-SHA256 over the topic, the line without
 it and the body. A life is one start of one signer; within it and a topic the sequence only rises. A life is remembered until
 its messages are too old to be taken anyway, so the memory is bounded by what authentic signers do. HMAC is symmetric: whoever
-can verify a key's messages can also sign them, so it keeps out who has no key; what those with keys may publish, the broker's
-access list says.
+can verify a key's messages can also sign them, so it keeps out those without a key; what those with keys may publish is
+for the broker's access list to say.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class _Stored(_Row):
 
 
 class Store:
-    """The file of one area's authority. Nobody else may have it open."""
+    """The file of one area's authority. Only one process may have it open."""
 
     def __init__(self, path: Path, area: str) -> None:
         """Raises AirError if it cannot be used or another authority uses it."""

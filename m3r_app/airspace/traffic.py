@@ -1,7 +1,8 @@
-"""What others say of where they are, judged by us: fresh, on a clock like ours, plausible, and one aircraft per name.
+"""Neighbours from the states that others publish, each checked here: fresh, its clock near ours, plausible, and one
+aircraft per name.
 
-What is authentic but not plausible is worse than nothing: the drone is somewhere, so its place becomes unknown (NaN), which
-refuses moves until it makes sense again. Nobody can take an aircraft out of our sky by a message. Source: R5, R11, X6, design 10.
+A state that is authentic but not plausible makes the drone's place unknown (NaN): it is somewhere, so moves are refused
+until its states are plausible again. No message can remove an aircraft. Source: R5, R11, X6, design 10.
 """
 
 from __future__ import annotations

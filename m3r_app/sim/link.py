@@ -1,6 +1,6 @@
 """One simulated drone's MAVLink: telemetry out over UDP, commands, parameters and setpoints in.
 
-It sends to the address where a ground station listens, as PX4 does, and answers whoever asks. Source: MAVLink common
+It sends to the address where a ground station listens, as PX4 does, and answers any station that asks. Source: MAVLink common
 messages; PX4 1.17's answers (MAV_RESULT), parameter encoding and message rates.
 """
 

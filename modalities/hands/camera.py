@@ -40,7 +40,7 @@ class CameraAddress:
 def camera_address(text: str) -> CameraAddress | None:
     """What `--video` names, if it is a camera: `camera:0`, `rtsp://…`, `http://…`, `https://…`. Else None: a file.
 
-    Raises VideoError for a camera number that is none. A password in an address is not repeated in its name.
+    Raises VideoError where N is not a number. A password in an address is not repeated in its name.
     """
     if text.startswith("camera:"):
         number = text.removeprefix("camera:")

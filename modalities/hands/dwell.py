@@ -56,7 +56,7 @@ class DwellFilter:
         return self._hold_s * (STOP_HOLD_FACTOR if command is Command.STOP else 1.0)
 
     def accept(self, reading: Reading, captured_at_s: float) -> Held | None:
-        """The next frame's reading; what it completes. A frame that is not newer than the last one is none."""
+        """The next frame's reading; what it completes. A frame that is not newer than the last one is ignored."""
         if not (math.isfinite(captured_at_s) and captured_at_s > self._last_s):
             return None
         if captured_at_s - self._last_s > LONGEST_GAP_S:

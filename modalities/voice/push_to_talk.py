@@ -71,7 +71,7 @@ def _enters(terminal: int) -> Iterator[None]:
 
 
 def _ours(terminal: int) -> bool:
-    """Whoever reads a terminal from the background is suspended, which no app that flies may be."""
+    """A process that reads its terminal from the background is suspended, which an app that flies must never be."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:

@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 REFRESH_S = 0.2
 """Nobody reads faster, and drawing takes time from the control loop."""
 TURNS = ("#above", "#side", "#above", "#skeleton")
-"""What is drawn at one look after another."""
+"""The view that is drawn at each refresh, in turn."""
 LARGE = (120, 40)
 """From this size on everything is shown at once."""
 KEPT_EVENTS = 2000
 LOG_LINES = 1000
 TOASTS = 2
-"""So many are seen at once."""
+"""How many are shown at once."""
 TAKEOFF_M = 5.0
 """How high the console offers to take off, unless told otherwise."""
 STOP_KEYS = ("space", "escape")
@@ -251,7 +251,7 @@ class Flying(Screen[None]):
                 self._toast(toast)
 
     def _toast(self, text: str) -> None:
-        """Of more than are seen at once the older go: the newest is always seen."""
+        """Remove the older toasts where more would be shown than fit: the newest is always seen."""
         now_s = self._live.clock()
         if len(self._toasted_s) == TOASTS and now_s - self._toasted_s[0] < self.app.NOTIFICATION_TIMEOUT:
             self.app.clear_notifications()

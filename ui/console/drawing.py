@@ -191,7 +191,7 @@ def from_side(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked | 
 
 
 def caption(snapshot: Snapshot) -> str:
-    """Who is where, and how old that is."""
+    """What the letters mean, and how old each position is."""
     drone = snapshot.paired
     here = drone.position if drone is not None else None
     told = ["O you"]
@@ -211,7 +211,7 @@ def caption(snapshot: Snapshot) -> str:
 
 
 def reach_of_all(snapshot: Snapshot) -> float:
-    """A reach that shows the paired drone and its operator well; without a pair, everybody who is near, m."""
+    """How far the view must reach (m) to show the paired drone and its operator, or, unpaired, every drone nearby."""
     centre, drone = _focus(snapshot, 10.0), snapshot.paired
     shown = [drone] if drone is not None else [c for c in snapshot.craft if c.ours]
     places = [c.position for c in shown if c.position is not None]

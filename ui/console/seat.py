@@ -1,6 +1,5 @@
-"""The one seat at a console that several may open (in browser tabs): who sits there, and what the others are told.
-
-The seat is a file that is locked while somebody sits: the system lets it go with the process, however that ends.
+"""The one seat at a console that several may open (in browser tabs): who uses it, and what the others are told. The
+seat is a file that is locked meanwhile; the system unlocks it when the process ends, however that happens.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Seat:
         self._file.close()
 
     def tell(self, colour: str | None) -> None:
-        """Who sits here flies this drone now."""
+        """Whoever has the seat flies this drone now."""
         sentence = f"flies {colour.capitalize()}" if colour else "is at the console, paired with no drone"
         if sentence != self._told:
             self._told = sentence

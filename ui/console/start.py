@@ -30,7 +30,7 @@ LEAVE_S = 5.0
 """How long the screen may take to close after the run has ended."""
 GONE = 1
 ENDING = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
-"""The terminal is gone, or somebody wants the end: the drone is left in Hold first."""
+"""The terminal is gone, or the process is told to end: the drone is left in Hold first."""
 
 
 def show(options: RunOptions, seat_path: Path | None = None) -> int:
@@ -50,7 +50,7 @@ def show(options: RunOptions, seat_path: Path | None = None) -> int:
 
 
 def _watch(live: Live) -> None:
-    """End the run when nobody sees the screen any more, and the process when a screen that is gone keeps it.
+    """End the run when the terminal is gone, and the process where a screen that is gone would keep it from ending.
 
     Textual's writing thread dies of a terminal that is lost, and what draws then waits for it for ever.
     """
