@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
 import signal
 import socket
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -384,6 +386,46 @@ def test_a_vehicle_that_never_answers_is_exit_3() -> None:
     assert ran.status == 3
     assert ran.events[-1]["reason"] == "vehicle_lost"
     assert url in ran.told
+    assert time.monotonic() - began_s < 20.0
+
+
+async def test_models_load_while_the_fleet_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes a second or more; neither waits for the other."""
+    from m3r_app import run
+    from m3r_app.options import RunOptions
+
+    looking, given_up = threading.Event(), asyncio.Event()
+
+    async def connect(*_: object) -> None:
+        looking.set()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            given_up.set()
+
+    def load(*_: object) -> None:
+        raise ValueError("loaded meanwhile" if looking.wait(5.0) else "the fleet was not looked for")
+
+    monkeypatch.setattr(run.Run, "_connect", connect)
+    monkeypatch.setattr(run, "open_inputs", load)
+    with pytest.raises(ValueError, match="loaded meanwhile"):
+        await run.Run(RunOptions(), lambda _told: None).whole()
+    assert given_up.is_set()
+
+
+def test_bad_input_does_not_wait_for_a_vehicle_that_never_answers(tmp_path: Path) -> None:
+    """Inputs are loaded while the vehicle is looked for: what is wrong with them ends the search."""
+    from m3r_app.ports import free_udp_block
+
+    url = f"udpin://127.0.0.1:{free_udp_block(1)}"
+    began_s = time.monotonic()
+    ran = m3r(
+        "run", "--headless", "--pair", "red", "--vehicle", f"red={url}", "--set", "pairing.answer_s=60",
+        "--script", str(tmp_path / "none.txt"),
+    )  # fmt: skip
+    assert ran.status == 2
+    assert "none.txt" in ran.told
+    assert url not in ran.told
     assert time.monotonic() - began_s < 20.0
 
 
