@@ -38,7 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ExitStatus.INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read our output has seen enough
+        from ui.output import discard_stdout
+
+        discard_stdout()  # whoever read our output has seen enough
         return ExitStatus.ENDED
     except Exception as error:
         if debug:

@@ -67,6 +67,11 @@ class Output:
                 hang_up()
 
 
+def discard_stdout() -> None:
+    """Whoever read standard output is gone: what is still written there is lost, and is no error."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), STANDARD_OUTPUT)
+
+
 def hang_up() -> None:
     """Tell the app, as a closed terminal would, that its operator is gone; nothing where nobody waits for that."""
     if callable(signal.getsignal(signal.SIGHUP)):

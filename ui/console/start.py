@@ -18,6 +18,7 @@ from ui.console.app import KEPT_EVENTS, Console
 from ui.console.seat import Occupied, Seat
 from ui.console.terminal import log_path, own_screen, require_terminal
 from ui.narrator import sentence
+from ui.output import discard_stdout
 from ui.speaker import speaking
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def _fly(options: RunOptions, seat: Seat | None) -> int:
     try:
         print("\n".join(ended), flush=True)
     except OSError:  # nobody is there any more to read it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        discard_stdout()
     return status
 
 
