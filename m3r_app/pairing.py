@@ -94,9 +94,7 @@ def objections(
     if not (math.isfinite(operator.sigma_m) and operator.sigma_m <= pairing.operator_sigma_max_m):
         found.append(f"the operator's position is not known to {pairing.operator_sigma_max_m:.0f} m")
     found += _distance(telemetry.geodetic, frame, operator, limits, pairing)
-    # Adding NaN keeps it, max() may not.
-    sigma_m = max(telemetry.sigma_h_m, telemetry.sigma_v_m) + 0.0 * (telemetry.sigma_h_m + telemetry.sigma_v_m)
-    localization = confidence_of(sigma_m, limits.localization_half_m)
+    localization = confidence_of(telemetry.sigma_m, limits.localization_half_m)
     if not localization >= limits.localization_min:
         found.append(f"its localisation confidence is {_shown(localization)}, {limits.localization_min:.2f} is needed")
     if world.terrain is None:

@@ -11,6 +11,8 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
+
 from m3r_app.airspace.beacon import Beacon
 from m3r_app.airspace.credentials import AirError, load_credentials, parse_broker
 from m3r_app.sim.fleet import Fleet
@@ -32,7 +34,7 @@ def start_telling(fleet: Fleet, broker_url: str, credentials: Path) -> None:
         while True:
             for name in names:
                 pilot = fleet.links[name].autopilot
-                sigma_m = max(pilot.sigmas_m)
+                sigma_m = float(np.max(pilot.sigmas_m))  # which keeps a NaN; max() may not
                 beacon.publisher.tell(name, fleet.frame.geodetic(pilot.position), pilot.velocity, sigma_m, 0.0)
             await asyncio.sleep(LOOK_S)
 
