@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from m3r_app.environment.scenario import SHIPPED
+from m3r_app.ports import free_udp_block
 from modalities.models.catalogue import ModelError, find_hand_model, find_model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,10 +40,12 @@ LONGEST_S = 60.0
 ARMED_BAR_S = 5.0
 VOICE_BAR_MB, BOTH_BAR_MB = 300.0, 600.0
 SIMULATOR = "m3r_app.sim"
+AIRCRAFT = 8
+"""At least as many as the scenario has: each has a port of its own."""
 RIVAL = """
 import asyncio, json, subprocess, sys, threading
-voice, hands, scenario = sys.argv[1:]
-fleet = subprocess.Popen([sys.executable, "-m", "m3r_app.sim", "--scenario", scenario, "--die-with-parent", "--port-base", "23400"],
+voice, port, hands, scenario = sys.argv[1:]
+fleet = subprocess.Popen([sys.executable, "-m", "m3r_app.sim", "--scenario", scenario, "--die-with-parent", "--port-base", port],
                          stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 import vosk
 vosk.SetLogLevel(-1)
@@ -143,7 +146,7 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 2
     app = [sys.executable, "-m", "ui.entry", "run", "--headless", "--pair", "red"]
-    rival = [sys.executable, "-c", RIVAL, str(voice_model.folder)]
+    rival = [sys.executable, "-c", RIVAL, str(voice_model.folder), str(free_udp_block(AIRCRAFT))]
     runs: dict[str, list[Started]] = {}
     with tempfile.TemporaryDirectory() as name:
         scenario = str(facing(Path(name)))
