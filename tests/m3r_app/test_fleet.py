@@ -9,27 +9,27 @@ import pytest
 
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.interface import Links
-from m3r_app.vehicle.mavsdk_vehicle import Vehicle
+from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 
 
 async def test_a_search_that_is_given_up_closes_who_had_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     closed: list[str] = []
     answered = asyncio.Event()
 
-    class Answered(Vehicle):
+    class Answered(MavsdkVehicle):
         def __init__(self) -> None: ...
 
         async def close(self) -> None:
             closed.append("red")
 
-    async def connect(name: str, *_: object) -> Vehicle:
+    async def connect(name: str, *_: object) -> MavsdkVehicle:
         if name == "red":
             answered.set()
             return Answered()
         await asyncio.Event().wait()
         raise AssertionError
 
-    monkeypatch.setattr(Vehicle, "connect", connect)
+    monkeypatch.setattr(MavsdkVehicle, "connect", connect)
     links = Links({"red": "udpin://127.0.0.1:1", "blue": "udpin://127.0.0.1:2"}, {}, complete=False)
     searching = asyncio.create_task(Fleet.connect(links, time.monotonic, 5.0))
     await answered.wait()
