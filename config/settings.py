@@ -133,6 +133,49 @@ class Gesture(Section):
     mirrored: bool
 
 
+Asks = Literal[
+    "none",
+    "go_left",
+    "go_right",
+    "go_forward",
+    "go_back",
+    "go_up",
+    "go_down",
+    "turn_left",
+    "turn_right",
+    "stop",
+    "continue",
+]
+"""What a control of a gamepad may ask for. Pairing and letting go need to be meant: they are no single press."""
+
+
+class GamepadSettings(Section):
+    """What each control of a gamepad asks for; sticks and triggers are STOP, which no setting changes. Source: R1, X4."""
+
+    dead_zone: Annotated[float, Ge(0.05), Le(0.6)]
+    hat_left: Asks
+    hat_right: Asks
+    hat_up: Asks
+    hat_down: Asks
+    button_0: Asks
+    button_1: Asks
+    button_2: Asks
+    button_3: Asks
+    button_4: Asks
+    button_5: Asks
+    button_6: Asks
+    button_7: Asks
+    button_8: Asks
+    button_9: Asks
+    button_10: Asks
+    button_11: Asks
+    button_12: Asks
+    button_13: Asks
+    button_14: Asks
+    button_15: Asks
+    button_16: Asks
+
+
 class Uncertainty(Section):
     """What is added to every required distance. Source: X11."""
 
@@ -178,6 +221,7 @@ class Settings(Section):
     confidence: Confidence
     voice: VoiceSettings
     gesture: Gesture
+    gamepad: GamepadSettings
     uncertainty: Uncertainty
     decision: DecisionSettings
 

@@ -17,7 +17,9 @@ from typing import Protocol, TypeVar
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
 from modalities.hands.gestures import Hand
+from modalities.live import Handover, LiveInput, LiveInputError
 from modalities.notices import Say, SenseChange
+from modalities.rooms import LIVE
 from modalities.script import ScriptedRequest, read_script
 from modalities.voice.push_to_talk import PushToTalk
 from modalities.voice.self_speech import SelfSpeech
@@ -69,6 +71,7 @@ class Inputs:
     script: tuple[ScriptedRequest, ...] = ()
     voice: Voice | None = None
     hands: Hands | None = None
+    live: tuple[LiveInput, ...] = ()
     sentences: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
     talk: PushToTalk | None = None
@@ -86,6 +89,8 @@ class Inputs:
                 playing.create_task(self._play_script(began_s, clock, sink))
                 if self.voice is not None:
                     playing.create_task(self.voice.play(began_s, clock, sink, senses))
+                if self.live:
+                    playing.create_task(self._ask_live(sink))
                 watching = playing.create_task(self._watch(began_s, clock, sink, senses))
         except ExceptionGroup as group:
             raise group.exceptions[0] from group
@@ -97,6 +102,14 @@ class Inputs:
             self.voice.close()
         if self.hands is not None:
             self.hands.close()
+        for one in self.live:
+            one.close()
+
+    async def _ask_live(self, sink: Sink) -> None:
+        loop = asyncio.get_running_loop()
+        for one in self.live:
+            one.start(Handover(loop.call_soon_threadsafe, sink).put)
+        await _for_ever()
 
     async def _watch(self, began_s: float, clock: Clock, sink: Sink, senses: Senses) -> str | None:
         return await self.hands.play(began_s, clock, sink, senses) if self.hands is not None else None
@@ -352,5 +365,13 @@ def open_inputs(
             if voice is not None:
                 voice.close()
             raise
+    live: list[LiveInput] = []
+    for modality in LIVE:
+        if modality.name in options.live:
+            try:
+                live.append(modality.open(options.live[modality.name], settings, clock, say))
+                sentences += live[-1].sentences
+            except LiveInputError as error:
+                sentences.append(f"{modality.name} is off: {error}")
     models = tuple(one.model for one in (voice, hands) if one is not None)
-    return Inputs(script, voice, hands, tuple(sentences), models, talk)
+    return Inputs(script, voice, hands, tuple(live), tuple(sentences), models, talk)

@@ -43,6 +43,8 @@ class RunOptions:
     """A recording of the operator, or a microphone."""
     video: Path | CameraAddress | None = None
     """A video of the operator, or a camera."""
+    live: Mapping[str, str] = field(default_factory=dict)
+    """What `modalities.rooms` lists and is wanted: by name, what its option says, "" for nothing."""
     script: Path | None = None
     """Timed commands; `STANDARD_INPUT` for standard input."""
     pair: str | None = None

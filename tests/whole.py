@@ -54,12 +54,16 @@ class Ran:
 class App:
     """A running `m3r`."""
 
-    def __init__(self, arguments: Sequence[str], stdin: str | None = None, terminal: int | None = None) -> None:
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        stdin: str | None = None,
+        terminal: int | None = None,
+        program: str = "ui.entry",
+    ) -> None:
         """stdin: what is written to it; terminal: a file descriptor to be it instead."""
         nothing = subprocess.DEVNULL if terminal is None else terminal
-        self.process = Program(
-            "ui.entry", arguments, subprocess.PIPE if stdin is not None else nothing, subprocess.PIPE
-        )
+        self.process = Program(program, arguments, subprocess.PIPE if stdin is not None else nothing, subprocess.PIPE)
         self._unread = b""
         self.events: list[dict[str, Any]] = []
         if stdin is not None:

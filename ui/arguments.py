@@ -21,6 +21,7 @@ from m3r_app.options import (
     parse_timeout,
     parse_video,
 )
+from modalities.rooms import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -154,6 +155,8 @@ def _add_flight(run: Parser) -> None:
         metavar="camera:N|FILE|URL|none",
         help="a camera, or a video of the operator's hands",
     )
+    for modality in LIVE:
+        run.add_argument(f"--{modality.name}", nargs="?", const="", metavar=modality.metavar, help=modality.about)
     run.add_argument("--script", type=file, metavar="FILE|-", help="timed commands, such as: 2.0 panel go left")
     run.add_argument("--pair", type=_typed(parse_colour), metavar="COLOUR", help="pair with this drone at the start")
     run.add_argument(
@@ -253,6 +256,9 @@ def _add_check(commands: Any) -> None:
     )
     check.add_argument("--audio", type=_typed(parse_audio), metavar="mic:NAME", help="listen to this microphone")
     check.add_argument("--video", type=_typed(parse_video), metavar="camera:N|URL", help="watch this camera")
+    for modality in LIVE:
+        check.add_argument(f"--{modality.name}", metavar=modality.metavar, help=modality.about)
+    _add_settings(check)
     _add_air(check)
     check.add_argument("--mirror", action="store_true", help="do the mirror test, although this is no terminal")
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from m3r_app.exit_status import ExitStatus
 from m3r_app.options import LiveMicrophone, OptionError, RunOptions, parse_vehicles
 from m3r_app.vehicle.interface import VehicleError
+from modalities.rooms import LIVE
 from ui.arguments import parse
 
 if TYPE_CHECKING:
@@ -143,6 +144,7 @@ def _asked(options: argparse.Namespace) -> RunOptions:
     return RunOptions(
         audio=options.audio,
         video=options.video,
+        live=_live(options),
         script=options.script,
         pair=options.pair,
         vehicles=parse_vehicles(options.vehicle),
@@ -160,6 +162,11 @@ def _asked(options: argparse.Namespace) -> RunOptions:
         record=options.record,
         timeout_s=options.timeout,
     )
+
+
+def _live(options: argparse.Namespace) -> dict[str, str]:
+    given = {modality.name: getattr(options, modality.name) for modality in LIVE}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _run_sim(options: argparse.Namespace) -> int:
@@ -188,6 +195,7 @@ def _run_beacon(options: argparse.Namespace) -> int:
 
 
 def _run_check(options: argparse.Namespace) -> int:
+    from config.settings import load_settings
     from ui.check.command import show
     from ui.check.findings import Wanted
 
@@ -197,7 +205,14 @@ def _run_check(options: argparse.Namespace) -> int:
         raise OptionError(f"--video {options.video}: check watches a camera, give camera:N or its address")
     name = options.audio.name if options.audio is not None else None
     wanted = Wanted(
-        parse_vehicles(options.vehicle), name, options.video, options.mirror, options.broker, options.credentials
+        parse_vehicles(options.vehicle),
+        name,
+        options.video,
+        options.mirror,
+        options.broker,
+        options.credentials,
+        _live(options),
+        load_settings(options.config, options.set),
     )
     return show(wanted)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from modalities.models.catalogue import ModelError, find_hand_model, find_model
 from modalities.native_output import discarded_stderr
 from ui.check.air import air
-from ui.check.devices import cameras, microphones
+from ui.check.devices import cameras, live_modalities, microphones
 from ui.check.findings import Finding, State, Wanted, parts_of, shown
 from ui.check.mirror import mirror
 from ui.speaker import PROGRAM
@@ -192,6 +192,7 @@ PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("microphone", microphones),
     ("camera", cameras),
     ("mirror test", mirror),
+    ("live modalities", live_modalities),
     ("UDP ports", _ports),
     ("vehicle", _vehicles),
     ("broker", air),

@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from config.settings import load_settings
 from modalities.native_output import discarded_stderr
+from modalities.rooms import LIVE
 from modalities.voice.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, Chunk
 from modalities.voice.capture import FLOOR_DBFS, level_dbfs
 from modalities.voice.devices import MicrophoneError, choose_device, input_devices
@@ -97,6 +99,14 @@ def cameras(wanted: Wanted) -> Iterator[Finding]:
         looked = [_permitted(number) for number in numbers]
         # A camera has more than one device file, and only one of them gives pictures.
         yield from [finding for finding in looked if finding.state is not State.MISSING] or looked
+
+
+def live_modalities(wanted: Wanted) -> Iterator[Finding]:
+    settings = wanted.settings or load_settings()
+    for modality in LIVE:
+        for seen in modality.look(wanted.live.get(modality.name, ""), settings):
+            works = State.WORKS if seen.remedy is None else State.MISSING if seen.missing else State.WEAK
+            yield Finding(seen.part, works, seen.text, seen.remedy)
 
 
 def camera_numbers() -> list[int]:

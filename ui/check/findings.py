@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from config.settings import Settings
     from modalities.hands.camera import CameraAddress
 
 
@@ -39,7 +40,7 @@ class Finding:
 class Wanted:
     """What to look at beyond what every machine has. vehicles: MAVLink address by colour; microphone: as --audio mic:NAME;
     camera: None for those of this machine; mirror: ask the person before the camera to point, although no terminal is here;
-    broker, credentials: of the shared air.
+    broker, credentials: of the shared air; live: by name of a live modality, what its option says; settings: None for the defaults.
     """
 
     vehicles: Mapping[str, str] = field(default_factory=dict)
@@ -48,6 +49,8 @@ class Wanted:
     mirror: bool = False
     broker: str | None = None
     credentials: Path | None = None
+    live: Mapping[str, str] = field(default_factory=dict)
+    settings: Settings | None = None
 
 
 def shown(finding: Finding, width: int = 100) -> str:
