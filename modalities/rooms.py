@@ -5,4 +5,6 @@ from __future__ import annotations
 from modalities.gamepad import GAMEPAD
 from modalities.live import LiveModality
 
-LIVE: tuple[LiveModality, ...] = (GAMEPAD,)
+LIVE: tuple[LiveModality, ...] = (
+    GAMEPAD,
+)  # fmt: skip
