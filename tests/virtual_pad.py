@@ -1,7 +1,8 @@
 """A gamepad that is not there, and the app with one plugged in.
 
-Where the kernel makes devices (uinput) it is the kernel's, else SDL's own, in the process that reads it. `main` is the whole
-app with such a one; what is done on it comes line by line from the file that M3R_TEST_PAD names.
+It is SDL's own, in the process that reads it, and so there on every machine; where the kernel makes devices `tests.kernel_pad`
+takes its place. `main` is the whole app with such a one: what is done on it comes line by line from the pipe that
+M3R_TEST_PAD names.
 """
 
 from __future__ import annotations
@@ -88,16 +89,13 @@ class Fingers:
     def __init__(self, path: Path) -> None:
         os.mkfifo(path)
         self.path = path
-        self._fd = -1
+        self._fd = os.open(path, os.O_RDWR)  # so that it waits for nobody
 
     def close(self) -> None:
-        if self._fd >= 0:
-            os.close(self._fd)
+        os.close(self._fd)
 
     def __getattr__(self, name: str) -> Any:
         def do(*arguments: float) -> None:
-            if self._fd < 0:
-                self._fd = os.open(self.path, os.O_WRONLY)  # waits for the other side
             os.write(self._fd, f"{name} {' '.join(map(str, arguments))}\n".encode())
 
         return do

@@ -2,30 +2,61 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from tests.virtual_pad import NAME, TRIGGERS, Fingers
+from tests import kernel_pad, virtual_pad
+from tests.kernel_pad import KernelPad, kernel_makes_pads
+from tests.virtual_pad import Fingers
 from tests.whole import PLAIN, App
 
 RUN = ("run", "--headless", "--pair", "red", "--scenario", str(PLAIN), "--timeout", "60", "--gamepad")
 
 
+@dataclass(frozen=True)
+class Plugged:
+    """A gamepad that is plugged in, and the program that sees it."""
+
+    fingers: KernelPad | Fingers
+    program: str
+    trigger: int
+
+    def app(self) -> App:
+        return App(RUN, program=self.program)
+
+
 @pytest.fixture
-def fingers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fingers]:
-    fingers = Fingers(tmp_path / "pad")
-    monkeypatch.setenv("M3R_TEST_PAD", str(fingers.path))
-    yield fingers
-    fingers.close()
+def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugged]:
+    """The kernel's where it makes them, else SDL's."""
+    if kernel_makes_pads():
+        plugged = Plugged(KernelPad(), "ui.entry", kernel_pad.TRIGGERS[0])
+    else:
+        fingers = Fingers(tmp_path / "pad")
+        monkeypatch.setenv("M3R_TEST_PAD", str(fingers.path))
+        plugged = Plugged(fingers, "tests.virtual_pad", virtual_pad.TRIGGERS[0])
+    plugged.fingers.plug()
+    yield plugged
+    plugged.fingers.close()
+
+
+def name_told(app: App) -> str:
+    """The gamepad's name, as it is told before anything flies."""
+    while True:
+        told = re.fullmatch(
+            "gamepad (.+): buttons and hats ask, any stick or trigger is STOP", app.until("announce")["text"]
+        )
+        if told:
+            return told[1]
 
 
 @pytest.mark.requirement("R1", "X4")
-def test_buttons_ask_a_stick_stops_and_so_does_the_plug(fingers: Fingers) -> None:
-    app = App(RUN, program="tests.virtual_pad")
-    fingers.plug()
-    app.until("announce", text=f"gamepad {NAME}: buttons and hats ask, any stick or trigger is STOP")
+def test_buttons_ask_a_stick_stops_and_so_does_the_plug(plugged: Plugged) -> None:
+    app, fingers = plugged.app(), plugged.fingers
+    name = name_told(app)
     app.until("pair", status="confirmed")
     fingers.press(3)
     app.until("motion", status="completed")
@@ -41,14 +72,14 @@ def test_buttons_ask_a_stick_stops_and_so_does_the_plug(fingers: Fingers) -> Non
     app.until("motion", status="started")
     fingers.unplug()
     app.until(
-        "announce", text=f"the gamepad {NAME} is gone and STOP was asked for: plug it in again, or ask in another way"
+        "announce", text=f"the gamepad {name} is gone and STOP was asked for: plug it in again, or ask in another way"
     )
     app.until("motion", status="aborted")
     fingers.plug()
-    app.until("announce", text=f"the gamepad {NAME} is back")
+    app.until("announce", text=f"the gamepad {name} is back")
     fingers.press(0)
     app.until("motion", status="started")
-    fingers.axis(TRIGGERS[0], -0.2)
+    fingers.axis(plugged.trigger, -0.2)
     app.until("motion", status="aborted")
     app.process.terminate()
     ran = app.finish()
@@ -59,7 +90,7 @@ def test_buttons_ask_a_stick_stops_and_so_does_the_plug(fingers: Fingers) -> Non
         ("turn_left", "panel", 1.0, "gamepad button 4"),
         ("stop", "panel", 1.0, "gamepad unplugged"),
         ("go_down", "panel", 1.0, "gamepad button 0"),
-        ("stop", "panel", 1.0, "gamepad trigger 4 moved"),
+        ("stop", "panel", 1.0, f"gamepad trigger {plugged.trigger} moved"),
     ]
     assert set(ran.verdicts().values()) == {"approved"}
     assert ran.status == 130
@@ -67,10 +98,10 @@ def test_buttons_ask_a_stick_stops_and_so_does_the_plug(fingers: Fingers) -> Non
 
 
 @pytest.mark.requirement("X4")
-def test_a_stick_that_is_held_over_at_the_start_moves_nothing(fingers: Fingers) -> None:
-    app = App(RUN, program="tests.virtual_pad")
-    fingers.plug()
+def test_a_stick_that_is_held_over_at_the_start_moves_nothing(plugged: Plugged) -> None:
+    fingers = plugged.fingers
     fingers.axis(3, -0.9)
+    app = plugged.app()
     app.until("pair", status="confirmed")
     app.until("announce", text="the gamepad asks for nothing while axis 3 is not at rest: let go of it")
     fingers.press(3)
