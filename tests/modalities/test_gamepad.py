@@ -131,6 +131,7 @@ def test_any_axis_beyond_its_dead_zone_is_stop_once_until_it_rests_again(axis: i
         return [AxisMoved(axis, rest + away * travel * share) for share in shares]
 
     one = reading()
+    assert asked(one, *moved(0.1, 0.24)) == []
     assert asked(one, *moved(0.1, 0.24, 0.26, 0.9, 1.0, 0.3, 0.23, 0.26)) == ["stop"]
     assert asked(one, *moved(0.1, 0.9, 0.0)) == ["stop"]
 
@@ -330,9 +331,12 @@ def pad() -> Iterator[VirtualPad]:
 
 
 def seen(pads: Pads, event: type[PadEvent]) -> PadEvent:
+    """The next event, which is one of these and comes alone."""
     found: list[PadEvent] = []
-    until(lambda: found.extend(one for one in pads.look() if isinstance(one, event)) or found)
-    return found[0]
+    until(lambda: found.extend(pads.look()) or found)
+    (one,) = found
+    assert isinstance(one, event)
+    return one
 
 
 @pytest.fixture
