@@ -323,19 +323,32 @@ class Run:
             await self._until(shell, lambda: shell.state.state not in (State.PAIRING, State.FACING))
             if shell.state.session is None and not self.options.console:
                 raise NoPairing
-        damage = await inputs.play(
-            self.clock,
-            self.take,
-            Senses(self._heard, self._loud, self._seen, self._hands),
-        )
-        if self.options.console:
-            if damage is not None:
-                self.announce(damage, Notice.INPUT_DAMAGED)
-            await self.quitted.wait()
-            return
+        senses = Senses(self._heard, self._loud, self._seen, self._hands)
+        playing = asyncio.create_task(inputs.play(self.clock, self.take, senses))
+        try:
+            if self.options.console:
+                await self._stay(playing)
+                return
+            damage = await playing
+        finally:
+            playing.cancel()
+            await asyncio.wait({playing})
         await self._rest(shell)
         if damage is not None:
             raise InputError(damage)
+
+    async def _stay(self, playing: asyncio.Task[str | None]) -> None:
+        """Until the operator leaves the console: a live input has no end of its own."""
+        leaving = asyncio.create_task(self.quitted.wait())
+        try:
+            await asyncio.wait({playing, leaving}, return_when=asyncio.FIRST_COMPLETED)
+            if playing.done():
+                damage = playing.result()
+                if damage is not None:
+                    self.announce(damage, Notice.INPUT_DAMAGED)
+                await leaving
+        finally:
+            leaving.cancel()
 
     def _heard(self, words: str) -> None:
         self.record("heard", self.clock(), {"modality": "voice", "words": words})

@@ -144,13 +144,16 @@ def test_stop_of_another_modality_ends_a_take_off_from_the_console(tmp_path: Pat
         assert screen.wait() == 130
 
 
-def test_leaving_is_asked_and_ends_normally(tmp_path: Path) -> None:
+@pytest.mark.parametrize("live", [[], ["--gamepad"]])
+def test_leaving_is_asked_and_ends_normally(live: list[str], tmp_path: Path) -> None:
+    """A live input has no end of its own; the operator's end is."""
     with simulated(HILLSIDE, tmp_path) as fleet:
-        screen = Terminal("console", "--scenario", str(HILLSIDE), *fleet.vehicles, LC_ALL="C")
+        screen = Terminal("console", "--scenario", str(HILLSIDE), *live, *fleet.vehicles, LC_ALL="C")
         screen.until(lambda: "no drone paired" in screen.words, "a picture")
         screen.type("q")
-        status = None
+        status, typed_s = None, time.monotonic()
         while status is None:
+            assert time.monotonic() - typed_s < PATIENCE_S, "it did not end"
             screen.read(0.1)
             done, state = os.waitpid(screen.process_id, os.WNOHANG)
             status = os.waitstatus_to_exitcode(state) if done else None
