@@ -77,6 +77,10 @@ RULES: tuple[Rule, ...] = (
     PathRule(d.SEPARATION, others.separation),
     PathRule(d.RESERVATION, others.reservation),
 )
+DECLARED: dict[str, Constraint] = {
+    each.name: each for each in (*(rule.constraint for rule in RULES), d.PAIRED, d.CONTRADICTION)
+}
+"""By name. A finding names one of these."""
 
 
 def findings(

@@ -108,27 +108,3 @@ RESERVATION = Constraint(
 # What refuses a request before any rule is asked.
 PAIRED = Constraint("paired", ("P1", "R1"), Spoken("not paired", "not paired"))
 CONTRADICTION = Constraint("contradiction", (), Spoken("withdrawn", "withdrawn"))
-
-DECLARED: dict[str, Constraint] = {
-    each.name: each
-    for each in (
-        AUTHORITY,
-        INPUT_CONFIDENCE,
-        LOCALIZATION,
-        TERRAIN_CONFIDENCE,
-        NEIGHBOUR_AGE,
-        ENVELOPE,
-        WORKSPACE,
-        SESSION,
-        GEOFENCE,
-        STANDOFF,
-        TERRAIN_CLEARANCE,
-        AGL,
-        OBSTACLE_CLEARANCE,
-        SEPARATION,
-        RESERVATION,
-        PAIRED,
-        CONTRADICTION,
-    )
-}
-"""By name. A finding names one of these."""

@@ -29,7 +29,8 @@ from m3r_app.output import (
     ViolationEvent,
 )
 from modalities.voice.phrases import PhraseTable, normalise
-from safety.declarations import CONTRADICTION, DECLARED, INPUT_CONFIDENCE, PAIRED
+from safety.constraints import DECLARED
+from safety.declarations import CONTRADICTION, INPUT_CONFIDENCE, PAIRED
 from safety.vocabulary import Cause, Command, Modality, Verdict
 
 COMMAND_WORDS = frozenset(PhraseTable(("x",)).words) - {"x"}

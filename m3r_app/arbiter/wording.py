@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from safety.declarations import DECLARED, LOCALIZATION
+from safety.constraints import DECLARED
+from safety.declarations import LOCALIZATION
 from safety.monitor import Breach
 from safety.vocabulary import Decision, Finding, ManeuverRequest, Primitive, Verdict
 

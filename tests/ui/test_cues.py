@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from m3r_app.output import Notice, Told
 from modalities.voice.phrases import STOP_WORD, PhraseTable, normalise
-from safety.declarations import DECLARED
+from safety.constraints import DECLARED
 from safety.separation import neighbour_age, separation
 from safety.situation import Situation
 from safety.spatial import geofence, obstacle_clearance
