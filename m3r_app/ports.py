@@ -14,7 +14,14 @@ from urllib.parse import urlsplit
 PORTS = (20000, 32000)
 """What we take by ourselves: below what the system hands out."""
 PORT_TRIES = 100
-SCHEMES = ("udpin", "udpout", "tcpin", "tcpout", "serial")
+SCHEMES = (
+    "udpin",
+    "udpout",
+    "tcpin",
+    "tcpout",
+    "serial",
+)
+"""How vehicles are linked to; `m3r_app.vehicle.fleet.CONNECTS` says by what."""
 
 
 class LinkError(Exception):
@@ -36,6 +43,8 @@ def check_link(url: str) -> None:
                 f"{url!r} does not name a serial device and its baud rate: write serial:///dev/ttyACM0:57600."
             )
         return
+    if not scheme.startswith(("udp", "tcp")):
+        return  # whoever connects to it knows what else it needs
     host, port = _host_port(url)
     if scheme == "udpin":
         require_free(host, port, socket.SOCK_DGRAM)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -17,6 +17,13 @@ from m3r_app.vehicle.interface import Links, ObservedVehicle, Vehicle
 from m3r_app.vehicle.mavsdk_vehicle import MavsdkVehicle
 from safety.frames import LocalFrame
 from safety.vocabulary import Neighbours
+
+Connect = Callable[[str, str, Callable[[], float], float], Awaitable[Vehicle]]
+"""Of colour, address, clock and timeout_s; raises VehicleError."""
+CONNECTS: dict[str, Connect] = {
+    # Every other link is MAVLink's.
+}
+"""How a vehicle is connected to, by the scheme of its address."""
 
 
 class Fleet:
@@ -39,16 +46,14 @@ class Fleet:
     async def connect(cls, links: Links, clock: Callable[[], float], timeout_s: float) -> Fleet:
         """Connect to all at once. Raises VehicleError of the first that fails, with none left open."""
         urls = {**links.vehicles, **links.others}
-        asked = [asyncio.create_task(MavsdkVehicle.connect(name, url, clock, timeout_s)) for name, url in urls.items()]
+        asked = [asyncio.create_task(_connect(name, url, clock, timeout_s)) for name, url in urls.items()]
         try:
             answers = await asyncio.gather(*asked, return_exceptions=True)
         except asyncio.CancelledError:
             answers = await asyncio.gather(*asked, return_exceptions=True)
-            await asyncio.gather(*(a.close() for a in answers if isinstance(a, MavsdkVehicle)))
+            await asyncio.gather(*(a.close() for a in answers if not isinstance(a, BaseException)))
             raise
-        connected: dict[str, Vehicle] = {
-            name: v for name, v in zip(urls, answers, strict=True) if isinstance(v, MavsdkVehicle)
-        }
+        connected = {name: v for name, v in zip(urls, answers, strict=True) if not isinstance(v, BaseException)}
         failures = [a for a in answers if isinstance(a, BaseException)]
         if failures:
             await asyncio.gather(*(v.close() for v in connected.values()))
@@ -96,3 +101,7 @@ class Fleet:
             np.array([at_s for *_, at_s in states], dtype=np.float64),
             min(feed_at_s, now_s),
         )
+
+
+async def _connect(name: str, url: str, clock: Callable[[], float], timeout_s: float) -> Vehicle:
+    return await CONNECTS.get(url.partition("://")[0], MavsdkVehicle.connect)(name, url, clock, timeout_s)
