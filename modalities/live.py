@@ -11,11 +11,13 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from config.settings import Settings
 from modalities.notices import Say
 from safety.vocabulary import Command, ManeuverRequest
+
+if TYPE_CHECKING:
+    from config.settings import Settings  # loads pydantic, which the options alone do not need
 
 Clock = Callable[[], float]
 """The app's monotonic seconds, from any thread."""

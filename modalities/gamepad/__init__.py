@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from config.settings import Settings
 from modalities.gamepad.device import Pads
 from modalities.gamepad.reading import Pad, Plugged, Reading
 from modalities.gamepad.stream import FIRST_S, POLL_S, GamepadStream
 from modalities.live import Clock, LiveInputError, LiveModality, Seen
 from modalities.notices import Say
 from safety.vocabulary import Command
+
+if TYPE_CHECKING:
+    from config.settings import Settings
 
 CONTROLS = ("hat_", "button_")
 """How the names of the settings that map something begin."""
