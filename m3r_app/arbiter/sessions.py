@@ -102,7 +102,9 @@ def face(run: Step, vehicle: VehicleState) -> None:
             refuse_pairing(run, session.colour, (why,), taken=True)
             return
         wider = adapted(limits, noise)
-        if not run.state.motion.rests(noise, wider):  # pragma: no cover - seen on PX4 in gusts: the next look judges anew
+        if not run.state.motion.rests(
+            noise, wider
+        ):  # pragma: no cover - seen on PX4 in gusts: the next look judges anew
             return
         session = replace(session, configured=limits, noise=noise)
         run.state = replace(run.state, limits=wider)
