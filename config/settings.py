@@ -71,6 +71,7 @@ class Separation(Section):
     neighbour_acceleration_m_s2: Annotated[float, Ge(0.5), Le(20)]
     neighbour_turn: Annotated[float, Ge(0), Le(1)]
     silent_speed_m_s: Annotated[float, Ge(0), Le(20)]
+    look_ahead_s: Annotated[float, Ge(0.5), Le(10)]
     horizon_s: Annotated[float, Ge(1), Le(60)]
 
 
@@ -94,6 +95,12 @@ class Pairing(Section):
 
     range_m: Annotated[float, Ge(5), Le(500)]
     operator_sigma_max_m: Annotated[float, Ge(0.1), Le(20)]
+    operator_height_m: Annotated[float, Ge(0.5), Le(5)]
+    landed_height_m: Annotated[float, Ge(0.1), Le(3)]
+    home_height_m: Annotated[float, Ge(0.5), Le(10)]
+    rangefinder_tilt: Annotated[float, Ge(0.01), Le(0.5)]
+    settle_s: Annotated[float, Ge(2), Le(60)]
+    silent_s: Annotated[float, Ge(1), Le(60)]
     facing_timeout_s: Annotated[float, Ge(5), Le(120)]
     answer_s: Annotated[float, Ge(1), Le(120)]
 

@@ -18,15 +18,6 @@ from safety.spatial import checked_sigma_m
 from safety.terrain import Terrain, TerrainPatch
 from safety.vocabulary import Ned, Operator, VehicleState
 
-HAND_M = 2.0
-"""An operator's altitude may be that of the ground or of what they hold in their hand."""
-SKIDS_M = 0.5
-"""How high above the ground a landed drone's own position may be."""
-HOME_M = 2.0
-"""How much a home position, which is the fix of one moment, may be off beside what is stated."""
-TILT = 0.1
-"""Share of a rangefinder's distance that a tilted drone may be off."""
-
 
 def disagreements(
     telemetry: Telemetry, frame: LocalFrame, operator: Operator, terrain: Terrain | TerrainPatch | None, limits: Limits
@@ -43,11 +34,11 @@ def disagreements(
         _said(
             f"your altitude ({frame.amsl_m(operator.position.down):.0f} m)",
             _above(terrain, operator.position),
-            k * checked_sigma_m(operator.sigma_m) * (1.0 + terrain.slope) + terrain_m + HAND_M,
+            k * checked_sigma_m(operator.sigma_m) * (1.0 + terrain.slope) + terrain_m + limits.operator_height_m,
         )
     ]
     if telemetry.in_air is False:
-        found.append(_said("it stands, but its altitude", height_m, drone_m + terrain_m + SKIDS_M))
+        found.append(_said("it stands, but its altitude", height_m, drone_m + terrain_m + limits.landed_height_m))
     else:
         vehicle = VehicleState(
             0.0, here, Ned(0, 0, 0), 0.0, sigma_h_m=telemetry.sigma_h_m, sigma_v_m=telemetry.sigma_v_m
@@ -56,10 +47,10 @@ def disagreements(
         found.append(_said("its altitude", min(height_m, 0.0), below_m))
     if telemetry.home is not None:
         home_m = _above(terrain, frame.ned(telemetry.home))
-        found.append(_said("its home", home_m, drone_m + terrain_m + HOME_M))
+        found.append(_said("its home", home_m, drone_m + terrain_m + limits.home_height_m))
     if telemetry.ground_distance_m is not None:
         off_m = height_m - telemetry.ground_distance_m
-        explained_m = drone_m + terrain_m + TILT * telemetry.ground_distance_m
+        explained_m = drone_m + terrain_m + limits.rangefinder_tilt * telemetry.ground_distance_m
         if abs(off_m) > explained_m:
             found.append(
                 f"its rangefinder measures {telemetry.ground_distance_m:.1f} m to the ground and the terrain model says "

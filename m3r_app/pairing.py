@@ -36,8 +36,6 @@ WHERE_IT_STANDS = frozenset(
 """Constraints that a drone must keep where it hovers, and where a take-off will bring it."""
 REPORTS = 3.0
 """So many positions must come in the time after which the last is too old: one may be late, and one lost."""
-SETTLE_S = 10.0
-"""So long a drone may take to come to rest in Hold."""
 NO_OPERATOR = "the operator's position is unknown; give --operator LAT,LON,AMSL"
 
 
@@ -255,5 +253,5 @@ class Pairing:
         if found:
             return found
         await commander.hold()
-        await vehicle.wait_settled(SETTLE_S)
+        await vehicle.wait_settled(self._setting.settings.pairing.settle_s)
         return ()

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals after which the drone is left in Hold and the run ends."""
-LOST_S = 5.0
 HELD_S = 5.0
 """So long in EmergencyHold without an approved way back, the drone rests."""
 LAST_HOLD_S = 3.0
@@ -191,7 +190,9 @@ class Run:
             shell = self.shell = self._shell(setting, fleet, guard, airspace)
             stack.push_async_callback(shell.close)
             stack.push_async_callback(shell.end, LAST_HOLD_S)
-            async with _together(shell.run(), shell.tick(), shell.listen(), self._watch_link(shell)) as background:
+            async with _together(
+                shell.run(), shell.tick(), shell.listen(), self._watch_link(shell, setting.settings.pairing.silent_s)
+            ) as background:
                 playing = asyncio.create_task(self._play(shell, inputs))
                 background.add(playing)
                 done, _ = await asyncio.wait(background, return_when=asyncio.FIRST_COMPLETED)
@@ -380,19 +381,20 @@ class Run:
         while not condition():
             await shell.changed.wait()
 
-    async def _watch_link(self, shell: Shell) -> None:
+    async def _watch_link(self, shell: Shell, silent_s: float) -> None:
         """Lets a paired drone go that has been silent for long, which ends the run unless somebody sits at the console."""
         while True:
             await asyncio.sleep(0.5)
             vehicle = shell.vehicle
             if shell.vehicle_lost and not self.options.console:
                 raise VehicleLost
-            if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > LOST_S:
+            if vehicle is not None and vehicle.telemetry().link_age_s(self.clock()) > silent_s:
+                lost = f"lost, silent for {silent_s:.0f} s"
                 if self.options.console:
                     # STOP, the other drones and whatever comes of this one must stay in reach.
-                    shell.inbox.put(ClaimLost(f"lost, silent for {LOST_S:.0f} s"))
+                    shell.inbox.put(ClaimLost(lost, silent=True))
                     continue
-                self.announce(f"{vehicle.colour.capitalize()}: lost, silent for {LOST_S:.0f} s", Notice.VEHICLE_SILENT)
+                self.announce(f"{vehicle.colour.capitalize()}: {lost}", Notice.VEHICLE_SILENT)
                 raise VehicleLost
 
     def _say_soon(self, sentence: str, change: SenseChange | None = None, /) -> None:

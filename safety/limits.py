@@ -37,6 +37,8 @@ class Limits:
     """Share of its speed that a neighbour may have lost or turned aside in the age of its state; 0: it flew straight on."""
     silent_speed_m_s: float = 2.0
     """A neighbour older than that could be anywhere in a ball that grows this much faster than it last flew."""
+    look_ahead_s: float = 2.0
+    """How far ahead neighbours are extrapolated against a drone that is told to hold now (R9)."""
     horizon_s: float = 10.0
     """The drone hovers where a plan ends; separation there is checked this far ahead."""
     # Workspace and session: R7, X1
@@ -100,6 +102,15 @@ class Limits:
     """So far the clocks of what is captured may run ahead; what was asked later than now was not asked (X6)."""
     reservation_timeout_s: float = 1.0
     """So long the authority may take to answer (X10)."""
+    # Heights that agree, and links: X6, X8
+    operator_height_m: float = 2.0
+    """An operator's altitude may be that of the ground or of what they hold in their hand."""
+    landed_height_m: float = 0.5
+    """How high above the ground a landed drone's own position may be."""
+    home_height_m: float = 2.0
+    """How much a home position, which is the fix of one moment, may be off beside what is stated."""
+    rangefinder_tilt: float = 0.1
+    """Share of a rangefinder's distance that a tilted drone may be off."""
     # How the arbiter knows that a motion has begun and ended: R8, design 2
     engaging_s: float = 1.0
     """So long the autopilot may take to enter Offboard and say so."""

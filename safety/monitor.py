@@ -22,8 +22,6 @@ from safety.spatial import profile
 from safety.terrain import TerrainPatch
 from safety.vocabulary import POINT, Finding, Ned, Path, Plan
 
-LOOK_AHEAD_S = 2.0
-"""How far ahead neighbours are extrapolated against a drone that is told to hold now."""
 EASE = 0.05
 """A limit broken from the start may dip by this (m) under its first margin before it counts: estimator noise (X13).
 
@@ -139,7 +137,7 @@ def _bare(limits: Limits) -> Limits:
 @lru_cache(maxsize=8)
 def _wary(limits: Limits) -> Limits:
     """Where the drone is measured to be there is no tracking error, but all of the uncertainty."""
-    return replace(limits, tracking_m=0.0, horizon_s=LOOK_AHEAD_S)
+    return replace(limits, tracking_m=0.0, horizon_s=limits.look_ahead_s)
 
 
 def stopping_path(situation: Situation, limits: Limits) -> Path:

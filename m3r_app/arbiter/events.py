@@ -102,9 +102,10 @@ class FrameMoved:
 
 @dataclass(frozen=True, slots=True)
 class ClaimLost:
-    """The drone is claimed for us no longer: somebody else may have it by now. Source: X3."""
+    """The drone is claimed for us no longer: somebody else may have it by now. silent: nothing is heard of it. Source: X3."""
 
     reason: str
+    silent: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,7 +225,15 @@ def unlocated(run: Step) -> None:
         leave(run, Cause.AUTHORITY_LOST, "land", why)
 
 
-def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_lost: bool = False) -> None:
+def leave(
+    run: Step,
+    cause: Cause,
+    command: LetGoCommand,
+    why: str,
+    *,
+    vehicle_lost: bool = False,
+    notice: Notice = Notice.LET_GO,
+) -> None:
     """The session ends: nothing of it is left to fly. command: what becomes of the drone.
 
     What is suspected was ours if we end it, and is not where somebody else had taken over meanwhile.
@@ -236,7 +244,7 @@ def leave(run: Step, cause: Cause, command: LetGoCommand, why: str, *, vehicle_l
             run.violated(suspected)
     decisions.withdraw(run, why, "X3")
     execution.end(run, MotionStatus.ABORTED)
-    run.tell(Notice.LET_GO, why)
+    run.tell(notice, why)
     run.go(cause)
     run.do(reports.pair(session.colour, PairStatus.RELEASED if session.anchor is not None else PairStatus.REFUSED, why))
     run.state = replace(

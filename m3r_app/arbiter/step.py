@@ -33,6 +33,7 @@ from m3r_app.arbiter.events import (
     Tick,
 )
 from m3r_app.arbiter.state import ArbiterState
+from m3r_app.output import Notice
 from safety.estimate import disagreement, moved
 from safety.vocabulary import Cause, Command, State, VehicleState
 
@@ -72,9 +73,9 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             monitoring.hold_anew(run, event.reason)
         case ClaimLost() if state.authority:
             run.do(Hold("claim lost"))
-            sessions.leave(
-                run, Cause.AUTHORITY_LOST, "hold", f"{event.reason}, it is told to hold; pair again to go on"
-            )
+            why = f"{event.reason}, it is told to hold; pair again to go on"
+            notice = Notice.VEHICLE_SILENT if event.silent else Notice.LET_GO
+            sessions.leave(run, Cause.AUTHORITY_LOST, "hold", why, notice=notice)
         case ClaimLost():
             sessions.call_off_pairing(run, event.reason)
         case Tick():

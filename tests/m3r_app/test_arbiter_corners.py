@@ -11,7 +11,7 @@ from m3r_app.arbiter import decisions, wording
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step, impossible
 from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition
-from m3r_app.arbiter.events import FrameMoved, Requested
+from m3r_app.arbiter.events import ClaimLost, FrameMoved, Requested
 from m3r_app.arbiter.preview import WAITS, preview
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
@@ -188,3 +188,12 @@ def test_a_request_while_it_settles_waits() -> None:
     table = settling()
     after, _ = step(table.state, Requested(table.request(Command.GO_UP), 0.0), table.now_s)
     assert after.pending is not None
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(("silent", "notice"), [(True, Notice.VEHICLE_SILENT), (False, Notice.LET_GO)])
+def test_a_drone_that_fell_silent_is_told_as_that(silent: bool, notice: Notice) -> None:
+    table = Tabletop().paired()
+    table.put(ClaimLost("lost, silent for 5 s", silent=silent))
+    assert table.effects(Announce)[-1].notice is notice
+    assert table.state.state is State.IDLE
