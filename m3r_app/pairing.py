@@ -15,7 +15,7 @@ from m3r_app.airspace.interface import Airspace
 from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.heights import disagreements
 from m3r_app.output import Announcing, Notice
-from m3r_app.run_setup import Setting
+from m3r_app.run_setup import RunSetup
 from m3r_app.vehicle import px4_failsafe
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
@@ -165,7 +165,7 @@ class Pairing:
 
     def __init__(
         self,
-        setting: Setting,
+        setup: RunSetup,
         fleet: Fleet,
         airspace: Airspace,
         guard: Guard,
@@ -176,7 +176,7 @@ class Pairing:
         apply_failsafe: bool = False,
     ) -> None:
         """takeoff_m: a drone that stands takes off first, this high; apply_failsafe: set the required parameters first."""
-        self._setting = setting
+        self._setting = setup
         self._fleet = fleet
         self._airspace = airspace
         self._guard = guard
@@ -184,7 +184,7 @@ class Pairing:
         self._say = say
         self._takeoff_m = takeoff_m
         self._failsafe = px4_failsafe.apply if apply_failsafe else px4_failsafe.check
-        settings = setting.settings
+        settings = setup.settings
         self._limits = PairingLimits(
             settings.pairing.range_m, settings.pairing.operator_sigma_max_m, settings.battery == "unknown"
         )
@@ -213,17 +213,17 @@ class Pairing:
 
     async def against(self, vehicle: ObservedVehicle, takeoff_m: float | None) -> tuple[str, ...]:
         """Everything against pairing; takeoff_m: before a take-off, all that can be known on the ground. Source: X8."""
-        setting = self._setting
-        if setting.operator is None:
+        setup = self._setting
+        if setup.operator is None:
             return (NO_OPERATOR,)
         await vehicle.wait_measured()
         told = vehicle.telemetry()
         found = objections(
             told,
-            setting.frame,
-            setting.operator,
-            setting.world,
-            setting.limits,
+            setup.frame,
+            setup.operator,
+            setup.world,
+            setup.limits,
             self._limits,
             self._clock(),
             takeoff_m,
@@ -231,18 +231,18 @@ class Pairing:
         return (*found, *(m.text for m in await self._failsafe(vehicle, told.rc_present)))
 
     async def _objections(self, colour: str) -> tuple[str, ...]:
-        setting, commander = self._setting, self._fleet.commanders.get(colour)
+        setup, commander = self._setting, self._fleet.commanders.get(colour)
         if commander is None:
             return (f"there is no such drone; there are {', '.join(self._fleet.vehicles)}",)
         if not self._guard.ready:
             return ("the guard process is not running, so nothing may be flown",)
-        if setting.operator is None:
+        if setup.operator is None:
             return (NO_OPERATOR,)
-        held = await self._airspace.claim(colour, setting.frame.geodetic(setting.operator.position))
+        held = await self._airspace.claim(colour, setup.frame.geodetic(setup.operator.position))
         if held is not None:
             return (held,)
         vehicle = commander.vehicle
-        await vehicle.wait_ready(setting.settings.pairing.answer_s)
+        await vehicle.wait_ready(setup.settings.pairing.answer_s)
         if self._takeoff_m is not None and vehicle.telemetry().in_air is False:
             found = await self.against(vehicle, self._takeoff_m)
             if found:

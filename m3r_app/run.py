@@ -30,7 +30,7 @@ from m3r_app.options import RunOptions
 from m3r_app.output import AnnounceEvent, EndEvent, EndReason, Notice, OutputEvent, Told, fields_of, known
 from m3r_app.pairing import Pairing
 from m3r_app.record.recorder import Recorder
-from m3r_app.run_setup import Setting, prepare
+from m3r_app.run_setup import RunSetup, prepare
 from m3r_app.runtime import Recording, Shell, request_event
 from m3r_app.sim.process import SimulatedFleet
 from m3r_app.snapshot import Taken
@@ -88,7 +88,7 @@ class Run:
 
     def __init__(self, options: RunOptions, emit: Emit, self_speech: SelfSpeech | None = None) -> None:
         self.options = options
-        self.setting: Setting | None = None
+        self.setup: RunSetup | None = None
         """Once it is known."""
         self.talk: PushToTalk | None = None
         """What opens the microphone, where it is the console that does."""
@@ -181,17 +181,17 @@ class Run:
 
     async def _body(self) -> EndReason:
         async with AsyncExitStack() as stack:
-            setting = self.setting = await _in_thread(lambda: prepare(self.options))
-            inputs, fleet = await self._load_and_connect(setting, stack)
+            setup = self.setup = await _in_thread(lambda: prepare(self.options))
+            inputs, fleet = await self._load_and_connect(setup, stack)
             guard = Guard(self._say_soon)
             guard.start()
             stack.callback(guard.close)
-            airspace = await self._airspace(setting, fleet, stack)
-            shell = self.shell = self._shell(setting, fleet, guard, airspace)
+            airspace = await self._airspace(setup, fleet, stack)
+            shell = self.shell = self._shell(setup, fleet, guard, airspace)
             stack.push_async_callback(shell.close)
             stack.push_async_callback(shell.end, LAST_HOLD_S)
             async with _together(
-                shell.run(), shell.tick(), shell.listen(), self._watch_link(shell, setting.settings.pairing.silent_s)
+                shell.run(), shell.tick(), shell.listen(), self._watch_link(shell, setup.settings.pairing.silent_s)
             ) as background:
                 playing = asyncio.create_task(self._play(shell, inputs))
                 background.add(playing)
@@ -203,22 +203,22 @@ class Run:
 
     # ------------------------------------------------------------ before flying
 
-    async def _load_and_connect(self, setting: Setting, stack: AsyncExitStack) -> tuple[Inputs, Fleet]:
+    async def _load_and_connect(self, setup: RunSetup, stack: AsyncExitStack) -> tuple[Inputs, Fleet]:
         """Models load while the fleet is found, for each takes a second or more. What is wrong with an input is told first."""
         with_inputs = stack.enter_context(ExitStack())  # entered first, so that links end before devices are waited for
-        connecting = asyncio.create_task(self._connect(setting, stack))
+        connecting = asyncio.create_task(self._connect(setup, stack))
         try:
             inputs = await _in_thread(
                 lambda: open_inputs(
-                    self.options, setting.colours, setting.settings, self.clock, self._say_soon, self._self_speech
+                    self.options, setup.colours, setup.settings, self.clock, self._say_soon, self._self_speech
                 )
             )
             with_inputs.callback(inputs.close)
             self.talk = inputs.talk
             for sentence in inputs.sentences:
                 self.announce(sentence)
-            await _in_thread(lambda: self._open_sinks(setting, inputs))
-            self.record("stage", self.clock(), static_scene(setting.world, setting.operator))
+            await _in_thread(lambda: self._open_sinks(setup, inputs))
+            self.record("stage", self.clock(), static_scene(setup.world, setup.operator))
             fleet = await connecting
             _return_freed_memory()
             return inputs, fleet
@@ -226,7 +226,7 @@ class Run:
             connecting.cancel()
             await asyncio.gather(connecting, return_exceptions=True)
 
-    def _open_sinks(self, setting: Setting, inputs: Inputs) -> None:
+    def _open_sinks(self, setup: RunSetup, inputs: Inputs) -> None:
         """The record and the live view, as asked for."""
         if self.options.view_port is not None:
             from m3r_app.record.foxglove_server import Viewer  # loads Foxglove's library
@@ -238,37 +238,37 @@ class Run:
             return
         metadata: dict[str, object] = {
             "app": version("m3r"),
-            "settings": setting.settings.model_dump(),
-            "scenario": setting.scenario.model_dump(mode="json") if setting.scenario else None,
-            "operator": setting.operator,
-            "origin": setting.frame.origin,
-            "world": setting.world,
+            "settings": setup.settings.model_dump(),
+            "scenario": setup.scenario.model_dump(mode="json") if setup.scenario else None,
+            "operator": setup.operator,
+            "origin": setup.frame.origin,
+            "world": setup.world,
             "models": list(inputs.models),
         }
         self._sinks.append(Recorder(self.options.record, metadata, self._say_soon))
 
-    async def _connect(self, setting: Setting, stack: AsyncExitStack) -> Fleet:
+    async def _connect(self, setup: RunSetup, stack: AsyncExitStack) -> Fleet:
         if self.options.vehicles:
             links = Links(dict(self.options.vehicles), {}, complete=False)
         else:
-            scenario = setting.scenario
+            scenario = setup.scenario
             assert scenario is not None
             simulated = await SimulatedFleet.start(scenario.path, len(scenario.vehicles) + len(scenario.traffic))
             stack.push_async_callback(simulated.stop)
             links = simulated.links
-        fleet = await Fleet.connect(links, self.clock, setting.settings.pairing.answer_s)
+        fleet = await Fleet.connect(links, self.clock, setup.settings.pairing.answer_s)
         stack.push_async_callback(fleet.close)
-        await fleet.ready(setting.settings.pairing.answer_s)
+        await fleet.ready(setup.settings.pairing.answer_s)
         return fleet
 
-    async def _airspace(self, setting: Setting, fleet: Fleet, stack: AsyncExitStack) -> Airspace:
+    async def _airspace(self, setup: RunSetup, fleet: Fleet, stack: AsyncExitStack) -> Airspace:
         """Alone, or shared over a broker. Raises AirError."""
-        if setting.air is None:
+        if setup.air is None:
             return LocalAirspace(self.clock)
         from m3r_app.airspace.shared import SharedAirspace  # loads the MQTT client
 
-        broker, credentials = setting.air
-        shared = SharedAirspace(broker, credentials, setting.frame, self._say_soon, self.clock)
+        broker, credentials = setup.air
+        shared = SharedAirspace(broker, credentials, setup.frame, self._say_soon, self.clock)
         everybody = {**fleet.vehicles, **fleet.others}
         shared.watch({name: vehicle.telemetry for name, vehicle in everybody.items()})
         for name, vehicle in everybody.items():
@@ -278,8 +278,8 @@ class Run:
         self.announce(f"sharing the air of {credentials.area} at {broker} as {credentials.name}")
         return shared
 
-    def _shell(self, setting: Setting, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
-        settings = setting.settings
+    def _shell(self, setup: RunSetup, fleet: Fleet, guard: Guard, airspace: Airspace) -> Shell:
+        settings = setup.settings
         policy = Policy(
             settings.return_to_anchor,
             settings.on_disconnect,
@@ -289,7 +289,7 @@ class Run:
         )
 
         pairing = Pairing(
-            setting,
+            setup,
             fleet,
             airspace,
             guard,
@@ -300,16 +300,16 @@ class Run:
         )
         recording: Recording = self
         return Shell(
-            ArbiterState(setting.limits, policy),
+            ArbiterState(setup.limits, policy),
             fleet,
-            setting.frame,
+            setup.frame,
             airspace,
             guard,
             self.clock,
             self.emit,
             recording,
             pairing,
-            GroundWork(fleet.commanders, airspace, setting.frame.origin, self.announce, pairing.against),
+            GroundWork(fleet.commanders, airspace, setup.frame.origin, self.announce, pairing.against),
             declared_empty=settings.neighbours == "none",
             battery_may_be_unknown=settings.battery == "unknown",
         )

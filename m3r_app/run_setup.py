@@ -19,7 +19,7 @@ from safety.vocabulary import Geodetic, Operator
 
 
 @dataclass(frozen=True)
-class Setting:
+class RunSetup:
     """The stage of one run. operator None: unknown, so there is no pairing (design 1)."""
 
     settings: Settings
@@ -35,7 +35,7 @@ class Setting:
     """The shared airspace; None: alone."""
 
 
-def prepare(options: RunOptions) -> Setting:
+def prepare(options: RunOptions) -> RunSetup:
     """Load and check everything.
 
     Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError), LinkError or AirError: one sentence.
@@ -54,7 +54,7 @@ def prepare(options: RunOptions) -> Setting:
     frame = LocalFrame(place or Geodetic(0.0, 0.0, 0.0))
     operator = Operator(frame.ned(place), sigma_m) if place is not None else None
     world = _world(settings, scenario, frame)
-    return Setting(settings, settings.limits(), scenario, operator, frame, world, colours, _air(options))
+    return RunSetup(settings, settings.limits(), scenario, operator, frame, world, colours, _air(options))
 
 
 def _air(options: RunOptions) -> tuple[Broker, Credentials] | None:

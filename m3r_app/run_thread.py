@@ -146,13 +146,13 @@ class Live:
     async def _watch(self, run: Run) -> None:
         while True:
             await asyncio.sleep(PICTURE_S)
-            if run.shell is None or run.setting is None:
+            if run.shell is None or run.setup is None:
                 continue
-            now_s, fleet, frame = run.clock(), run.shell.fleet, run.setting.frame
+            now_s, fleet, frame = run.clock(), run.shell.fleet, run.setup.frame
             told = (
                 *(craft(name, v.telemetry(), frame, now_s, ours=True) for name, v in fleet.vehicles.items()),
                 *(craft(name, v.telemetry(), frame, now_s, ours=False) for name, v in fleet.others.items()),
             )
             shell = run.shell
             told += heard_of(shell.state, frozenset(c.name for c in told), now_s)
-            self.snapshot = Snapshot(now_s, shell.state, run.setting, told, run.senses, shell.airspace.trouble)
+            self.snapshot = Snapshot(now_s, shell.state, run.setup, told, run.senses, shell.airspace.trouble)

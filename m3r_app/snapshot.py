@@ -12,7 +12,7 @@ import numpy as np
 
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.state import ArbiterState
-from m3r_app.run_setup import Setting
+from m3r_app.run_setup import RunSetup
 from m3r_app.vehicle.telemetry import Telemetry
 from modalities.hands.gestures import Hand
 from safety.constraints import RULES, PathRule, Rule, findings, nearby
@@ -77,7 +77,7 @@ class Snapshot:
 
     at_s: float
     state: ArbiterState
-    setting: Setting
+    setup: RunSetup
     craft: tuple[Craft, ...]
     taken: Taken = field(default_factory=Taken)
     air_trouble: str | None = None

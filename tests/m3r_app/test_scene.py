@@ -34,8 +34,8 @@ HERE = [14.0, 0.0, -6.0]
 
 
 def shipped_scene() -> dict[str, Any]:
-    setting = prepare(RunOptions())
-    return static_scene(setting.world, setting.operator)
+    setup = prepare(RunOptions())
+    return static_scene(setup.world, setup.operator)
 
 
 def follows(value: Any, schema: dict[str, Any], where: str = "") -> None:

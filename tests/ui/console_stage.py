@@ -11,7 +11,7 @@ from typing import Any
 
 from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
-from m3r_app.run_setup import Setting, prepare
+from m3r_app.run_setup import RunSetup, prepare
 from m3r_app.snapshot import Craft, Snapshot
 from safety.limits import Limits
 from safety.vocabulary import (
@@ -80,11 +80,11 @@ def craft(name: str, place: Ned | None, **changes: Any) -> Craft:
     return replace(whole, **changes)
 
 
-def flying_snapshot(setting: Setting, *, paired: bool = True, state: State = State.ARMED) -> Snapshot:
+def flying_snapshot(setup: RunSetup, *, paired: bool = True, state: State = State.ARMED) -> Snapshot:
     """Red at 6 m before the operator, green beside, blue on the ground, the courier passing by."""
-    operator = setting.operator
+    operator = setup.operator
     assert operator is not None
-    session = Session("red", operator, setting.world, 0.0, Anchor(HERE, 180.0, 0.0), HERE, 90.0)
+    session = Session("red", operator, setup.world, 0.0, Anchor(HERE, 180.0, 0.0), HERE, 90.0)
     vehicle = VehicleState(
         NOW_S,
         HERE,
@@ -111,10 +111,10 @@ def flying_snapshot(setting: Setting, *, paired: bool = True, state: State = Sta
         craft("blue", Ned(-6.0, 8.0, 0.0), in_air=False),
         craft("courier", Ned(5.8, 9.0, -6.5), velocity=Ned(0.0, 2.5, 0.0), age_s=1.4, ours=False),
     )
-    return Snapshot(NOW_S, arbiter, setting, (craft("red", HERE), *others))
+    return Snapshot(NOW_S, arbiter, setup, (craft("red", HERE), *others))
 
 
-def hillside() -> Setting:
+def hillside() -> RunSetup:
     return prepare(RunOptions())
 
 

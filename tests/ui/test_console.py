@@ -19,7 +19,7 @@ from textual.strip import Strip
 from textual.widgets import Button, Static
 from textual.widgets._toast import Toast
 
-from m3r_app.run_setup import Setting
+from m3r_app.run_setup import RunSetup
 from safety.vocabulary import Command, State
 from tests.told import told
 from tests.ui.console_stage import LARGE, SMALL, SNAPSHOTS, Stage, console, drawn, flying_snapshot, hillside, text_of
@@ -51,7 +51,7 @@ STORY = [
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
+def setup() -> RunSetup:
     return hillside()
 
 
@@ -63,8 +63,8 @@ async def until(pilot: Pilot[Any], condition: Callable[[], bool], within_s: floa
         await pilot.pause(0.05)
 
 
-async def test_a_key_asks(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_a_key_asks(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     async with console(stage).run_test(size=SMALL) as pilot:
         for key in KEYS:
             stage.now_s += 1.0
@@ -73,8 +73,8 @@ async def test_a_key_asks(setting: Setting) -> None:
 
 
 @pytest.mark.parametrize("size", [SMALL, LARGE])
-async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, int]) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_a_button_asks_at_both_sizes(setup: RunSetup, size: tuple[int, int]) -> None:
+    stage = Stage(flying_snapshot(setup))
     asked = [command for command in Command if command not in (Command.ACTIVATE, Command.DISCONNECT)]
     async with console(stage).run_test(size=size) as pilot:
         for command in asked:
@@ -83,8 +83,8 @@ async def test_a_button_asks_at_both_sizes(setting: Setting, size: tuple[int, in
     assert stage.commands == asked
 
 
-async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting, paired=False))
+async def test_a_digit_or_a_click_pairs(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup, paired=False))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.pause(0.3)
         await pilot.press("2")
@@ -95,8 +95,8 @@ async def test_a_digit_or_a_click_pairs(setting: Setting) -> None:
     assert stage.asked == [(Command.ACTIVATE, "green"), (Command.ACTIVATE, "blue")]
 
 
-async def test_stop_from_every_focus(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_stop_from_every_focus(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.pause(0.3)
@@ -121,8 +121,8 @@ async def test_stop_from_every_focus(setting: Setting) -> None:
             assert not isinstance(app.screen, screen)
 
 
-async def test_moves_are_not_flown_from_an_open_question(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_moves_are_not_flown_from_an_open_question(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("x")
         for key in KEYS:
@@ -131,8 +131,8 @@ async def test_moves_are_not_flown_from_an_open_question(setting: Setting) -> No
     assert stage.asked == []
 
 
-async def test_too_small_says_how_large_and_still_stops(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_too_small_says_how_large_and_still_stops(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=(79, 24)) as pilot:
         for size in ((79, 24), (80, 23), (20, 5), (1, 1)):
@@ -150,9 +150,9 @@ async def test_too_small_says_how_large_and_still_stops(setting: Setting) -> Non
         assert not app.screen.query_one("#small").display
 
 
-async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> None:
+async def test_a_pasted_flood_asks_for_nothing_but_stop(setup: RunSetup) -> None:
     """Also questions are not answered by it: nobody has read them."""
-    stage = Stage(flying_snapshot(setting))
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         for _ in range(4):
@@ -170,8 +170,8 @@ async def test_a_pasted_flood_asks_for_nothing_but_stop(setting: Setting) -> Non
         assert Command.DISCONNECT not in stage.commands
 
 
-async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("x")
         for _ in range(8):
@@ -182,7 +182,7 @@ async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setti
         await pilot.press("y")
         await pilot.pause()
         assert stage.commands == [Command.DISCONNECT]
-        stage.snapshot = flying_snapshot(setting, paired=False)
+        stage.snapshot = flying_snapshot(setup, paired=False)
         for _ in range(FLOOD):
             await pilot.press("left")
         await pilot.press("q")
@@ -193,16 +193,16 @@ async def test_a_paste_that_goes_on_answers_no_question_and_does_not_leave(setti
     assert stage.quitted
 
 
-async def test_m_opens_the_microphone(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_m_opens_the_microphone(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     async with console(stage).run_test(size=SMALL) as pilot:
         await pilot.press("m")
     assert stage.talked
     assert stage.asked == []
 
 
-async def test_a_held_key_asks_once(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_a_held_key_asks_once(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     async with console(stage).run_test(size=SMALL) as pilot:
         for _ in range(5):
             await pilot.press("left")
@@ -211,10 +211,10 @@ async def test_a_held_key_asks_once(setting: Setting) -> None:
 
 
 async def test_disconnecting_and_leaving_are_confirmed_and_name_the_drone(
-    setting: Setting, monkeypatch: pytest.MonkeyPatch
+    setup: RunSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_snapshot(setting))
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         for key, words in (("x", "Red: disconnect?"), ("q", "Red: leave?")):
@@ -240,16 +240,16 @@ async def test_disconnecting_and_leaving_are_confirmed_and_name_the_drone(
 
 
 async def test_take_off_and_landing_are_confirmed_and_only_without_a_session(
-    setting: Setting, monkeypatch: pytest.MonkeyPatch
+    setup: RunSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_snapshot(setting))
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("o")
         await pilot.pause()
         assert not isinstance(app.screen, Question)
-        stage.snapshot = flying_snapshot(setting, paired=False)
+        stage.snapshot = flying_snapshot(setup, paired=False)
         await pilot.pause(0.3)
         stage.now_s += 1.0
         await pilot.press("o")
@@ -265,10 +265,10 @@ async def test_take_off_and_landing_are_confirmed_and_only_without_a_session(
 
 
 async def test_looking_first_shows_what_a_request_would_become(
-    setting: Setting, monkeypatch: pytest.MonkeyPatch
+    setup: RunSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    stage = Stage(flying_snapshot(setting))
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=LARGE) as pilot:
         await pilot.press("d")
@@ -289,9 +289,9 @@ async def test_looking_first_shows_what_a_request_would_become(
     assert stage.commands == [Command.GO_RIGHT]
 
 
-async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting) -> None:
+async def test_a_toast_for_what_is_blocked_and_none_for_routine(setup: RunSetup) -> None:
     for events, expected in ((STORY, 0), ([*STORY, REJECTED], 1)):
-        app = console(Stage(flying_snapshot(setting)), list(events))
+        app = console(Stage(flying_snapshot(setup)), list(events))
         async with app.run_test(size=SMALL) as pilot:
             await pilot.pause(0.3)
             await until(pilot, lambda: len(app._notifications) == expected)  # noqa: B023
@@ -300,8 +300,8 @@ async def test_a_toast_for_what_is_blocked_and_none_for_routine(setting: Setting
 
 
 @pytest.mark.parametrize("size", [SMALL, LARGE])
-async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting, size: tuple[int, int]) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_toasts_leave_stop_and_every_button_to_the_mouse(setup: RunSetup, size: tuple[int, int]) -> None:
+    stage = Stage(flying_snapshot(setup))
     app = console(stage, [REJECTED] * 6)
     async with app.run_test(size=size, notifications=True) as pilot:
         await until(pilot, lambda: bool(app.screen.query(Toast)))
@@ -314,8 +314,8 @@ async def test_toasts_leave_stop_and_every_button_to_the_mouse(setting: Setting,
     assert stage.commands == [Command.STOP] * 3
 
 
-async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
-    app = console(Stage(flying_snapshot(setting)))
+async def test_of_many_toasts_the_newest_is_seen(setup: RunSetup) -> None:
+    app = console(Stage(flying_snapshot(setup)))
     async with app.run_test(size=SMALL, notifications=True) as pilot:
         for number in range(5):
             finding = {
@@ -331,17 +331,17 @@ async def test_of_many_toasts_the_newest_is_seen(setting: Setting) -> None:
             await until(pilot, lambda: f"wall {number}" in newest())  # noqa: B023 - used up before the next number
 
 
-async def test_a_refusal_says_what_was_asked(setting: Setting) -> None:
-    app = console(Stage(flying_snapshot(setting)), [REJECTED])
+async def test_a_refusal_says_what_was_asked(setup: RunSetup) -> None:
+    app = console(Stage(flying_snapshot(setup)), [REJECTED])
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: "rejected, 1.00 m asked" in text_of(drawn(app)))
 
 
 async def test_with_many_drones_every_answer_is_on_the_screen_and_named(
-    setting: Setting, monkeypatch: pytest.MonkeyPatch
+    setup: RunSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ui.console.prompts.READ_S", 0.0)
-    snapshot = flying_snapshot(setting, paired=False)
+    snapshot = flying_snapshot(setup, paired=False)
     names = ("red", "green", "blue", "yellow", "magenta", "cyan", "white", "orange", "purple")
     stage = Stage(replace(snapshot, craft=tuple(replace(snapshot.craft[0], name=name) for name in names)))
     app = console(stage)
@@ -356,8 +356,8 @@ async def test_with_many_drones_every_answer_is_on_the_screen_and_named(
     assert stage.ground == [("land", "green")]
 
 
-async def test_a_long_preview_is_read_by_keys(setting: Setting) -> None:
-    app = console(Stage(flying_snapshot(setting)))
+async def test_a_long_preview_is_read_by_keys(setup: RunSetup) -> None:
+    app = console(Stage(flying_snapshot(setup)))
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("d", "pagedown")
         await pilot.pause(0.3)
@@ -366,16 +366,16 @@ async def test_a_long_preview_is_read_by_keys(setting: Setting) -> None:
         await until(pilot, lambda: "no reserved volume" in text_of(drawn(app)))
 
 
-async def test_the_whole_caption_is_shown(setting: Setting) -> None:
-    app = console(Stage(flying_snapshot(setting)))
+async def test_the_whole_caption_is_shown(setup: RunSetup) -> None:
+    app = console(Stage(flying_snapshot(setup)))
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: "C courier" in text_of(drawn(app)))
         await pilot.press("v")
         await until(pilot, lambda: "towards the drone" in text_of(drawn(app)))
 
 
-async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setting: Setting) -> None:
-    app = console(Stage(flying_snapshot(setting)))
+async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setup: RunSetup) -> None:
+    app = console(Stage(flying_snapshot(setup)))
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("ctrl+p")
         await until(pilot, lambda: "Red: ask to go left" in text_of(drawn(app)))
@@ -383,8 +383,8 @@ async def test_the_palette_names_the_drone_and_the_keys_that_are_stop(setting: S
 
 
 @pytest.mark.parametrize("theme", ["textual-dark", "textual-light"])
-async def test_a_neighbour_of_no_colour_is_seen_in_both_themes(setting: Setting, theme: str) -> None:
-    snapshot = flying_snapshot(setting)
+async def test_a_neighbour_of_no_colour_is_seen_in_both_themes(setup: RunSetup, theme: str) -> None:
+    snapshot = flying_snapshot(setup)
     fresh = tuple(replace(one, age_s=0.1) for one in snapshot.craft)
     app = console(Stage(replace(snapshot, craft=fresh)))
     async with app.run_test(size=SMALL) as pilot:
@@ -409,8 +409,8 @@ def _told(strip: Strip) -> str:
     return "".join(segment.text for segment in strip)
 
 
-async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setting: Setting) -> None:
-    stage = Stage(flying_snapshot(setting))
+async def test_ctrl_c_and_the_end_of_the_run_end_the_console(setup: RunSetup) -> None:
+    stage = Stage(flying_snapshot(setup))
     app = console(stage)
     async with app.run_test(size=SMALL) as pilot:
         await pilot.press("ctrl+c")
@@ -441,10 +441,10 @@ async def test_before_the_fleet_is_there_keys_do_no_harm() -> None:
     ],
 )
 async def test_the_screen_is_as_it_was(
-    setting: Setting, name: str, size: tuple[int, int], theme: str, paired: bool, state: State
+    setup: RunSetup, name: str, size: tuple[int, int], theme: str, paired: bool, state: State
 ) -> None:
     """M3R_UPDATE_SNAPSHOTS=1 renews them; look at them then."""
-    stage = Stage(flying_snapshot(setting, paired=paired, state=state))
+    stage = Stage(flying_snapshot(setup, paired=paired, state=state))
     app = console(stage, list(STORY) if paired else [])
     async with app.run_test(size=size) as pilot:
         app.theme = theme
@@ -464,9 +464,9 @@ async def test_the_screen_is_as_it_was(
     assert svg == path.read_text(), "the words are the same, the looks are not"
 
 
-async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_unicode_only_ascii_is_drawn(setup: RunSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LC_ALL", "C")
-    app = console(Stage(flying_snapshot(setting)), list(STORY))
+    app = console(Stage(flying_snapshot(setup)), list(STORY))
     assert app.plain
     async with app.run_test(size=LARGE) as pilot:
         await pilot.pause(0.4)
@@ -482,9 +482,9 @@ async def test_without_unicode_only_ascii_is_drawn(setting: Setting, monkeypatch
         assert any(isinstance(one, PlainSigns) for one in app.get_line_filters())
 
 
-async def test_without_colour_the_signs_tell(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_colour_the_signs_tell(setup: RunSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
-    snapshot = flying_snapshot(setting)
+    snapshot = flying_snapshot(setup)
     low = replace(snapshot, craft=(replace(snapshot.craft[0], battery=0.1, link_age_s=9.0), *snapshot.craft[1:]))
     app = console(Stage(low), [*STORY, REJECTED])
     async with app.run_test(size=SMALL) as pilot:
@@ -526,9 +526,9 @@ def test_plain_signs_keep_their_cells() -> None:
     assert len(plain_signs(text)) == len(text)
 
 
-async def test_every_button_shows_its_whole_label(setting: Setting) -> None:
+async def test_every_button_shows_its_whole_label(setup: RunSetup) -> None:
     for size in (SMALL, LARGE):
-        app = console(Stage(flying_snapshot(setting)))
+        app = console(Stage(flying_snapshot(setup)))
         async with app.run_test(size=size) as pilot:
             await pilot.pause(0.3)
             for button in app.screen.query(Button):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from m3r_app.arbiter.state import ArbiterState, Policy, Session
 from m3r_app.options import RunOptions
-from m3r_app.run_setup import Setting, prepare
+from m3r_app.run_setup import RunSetup, prepare
 from m3r_app.snapshot import NOWHERE_M, Craft, Snapshot, margins
 from m3r_app.snapshot import craft as craft_of
 from m3r_app.vehicle.telemetry import NEVER_HEARD
@@ -24,7 +24,7 @@ HERE = Ned(14.0, 0.0, -6.0)
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
+def setup() -> RunSetup:
     return prepare(RunOptions())
 
 
@@ -33,16 +33,16 @@ def craft(name: str, place: Ned | None, **changes: object) -> Craft:
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 
-def snapshot(setting: Setting, *others: Craft, **changes: object) -> Snapshot:
-    operator = setting.operator
+def snapshot(setup: RunSetup, *others: Craft, **changes: object) -> Snapshot:
+    operator = setup.operator
     assert operator is not None
-    session = Session("red", operator, setting.world, 0.0, Anchor(HERE, 180.0, 0.0), HERE)
+    session = Session("red", operator, setup.world, 0.0, Anchor(HERE, 180.0, 0.0), HERE)
     state = ArbiterState(Limits(), Policy(), session=session)
-    return Snapshot(10.0, state, setting, (craft("red", HERE, **changes), *others))
+    return Snapshot(10.0, state, setup, (craft("red", HERE, **changes), *others))
 
 
-def test_the_map_shows_drone_operator_anchor_obstacles_fence_and_ground(setting: Setting) -> None:
-    drawing = from_above(snapshot(setting, craft("green", Ned(10.0, 5.0, -8.0))), 15.0, 2.0)
+def test_the_map_shows_drone_operator_anchor_obstacles_fence_and_ground(setup: RunSetup) -> None:
+    drawing = from_above(snapshot(setup, craft("green", Ned(10.0, 5.0, -8.0))), 15.0, 2.0)
     kinds = {stroke.kind for stroke in drawing.strokes}
     assert {"anchor", "fence", "obstacle", "contour", "heading"} <= kinds
     signs = {mark.kind: mark for mark in drawing.marks}
@@ -53,27 +53,27 @@ def test_the_map_shows_drone_operator_anchor_obstacles_fence_and_ground(setting:
     assert np.hypot(ball.xs, ball.ys - 14.0) == pytest.approx(np.full(ball.xs.size, 5.0))
 
 
-def test_the_side_shows_the_height_over_the_ground(setting: Setting) -> None:
-    drawing = from_side(snapshot(setting), 10.0, 2.0)
+def test_the_side_shows_the_height_over_the_ground(setup: RunSetup) -> None:
+    drawing = from_side(snapshot(setup), 10.0, 2.0)
     drone = next(mark for mark in drawing.marks if mark.kind == "drone")
     ground = next(stroke for stroke in drawing.strokes if stroke.kind == "ground")
     assert drone.y == pytest.approx(6.0)
     below = float(np.interp(drone.x, ground.xs, ground.ys))
-    assert 6.0 - below == pytest.approx(float(setting.world.terrain.agl_m(np.array([HERE]))[0]), abs=0.1)
+    assert 6.0 - below == pytest.approx(float(setup.world.terrain.agl_m(np.array([HERE]))[0]), abs=0.1)
     assert drawing.window.y_min < below < 6.0 < drawing.window.y_max
 
 
 @pytest.mark.parametrize(
     ("yaw_deg", "sign"), [(0.0, "↑"), (90.0, "→"), (180.0, "↓"), (-90.0, "←"), (44.9, "↗"), (math.nan, "?")]
 )
-def test_the_arrow_is_the_heading(setting: Setting, yaw_deg: float, sign: str) -> None:
-    drawing = from_above(snapshot(setting, yaw_deg=yaw_deg), 15.0, 2.0)
+def test_the_arrow_is_the_heading(setup: RunSetup, yaw_deg: float, sign: str) -> None:
+    drawing = from_above(snapshot(setup, yaw_deg=yaw_deg), 15.0, 2.0)
     assert next(mark.sign for mark in drawing.marks if mark.kind == "drone") == sign
 
 
-def test_a_silent_neighbour_is_drawn_stale_with_where_it_could_be(setting: Setting) -> None:
+def test_a_silent_neighbour_is_drawn_stale_with_where_it_could_be(setup: RunSetup) -> None:
     silent = craft("courier", Ned(20.0, 5.0, -6.0), velocity=Ned(2.0, 0.0, 0.0), age_s=3.0, ours=False)
-    shown = snapshot(setting, silent)
+    shown = snapshot(setup, silent)
     drawing = from_above(shown, 15.0, 2.0)
     assert "stale" in {mark.kind for mark in drawing.marks}
     spread = next(stroke for stroke in drawing.strokes if stroke.kind == "spread")
@@ -91,12 +91,12 @@ def test_a_silent_neighbour_is_drawn_stale_with_where_it_could_be(setting: Setti
     known=st.booleans(),
 )
 def test_whatever_a_drone_tells_there_is_a_picture(
-    setting: Setting, north: float, east: float, down: float, yaw_deg: float, age_s: float, known: bool
+    setup: RunSetup, north: float, east: float, down: float, yaw_deg: float, age_s: float, known: bool
 ) -> None:
     """Unknown and absurd places are left out, never a crash."""
     place = Ned(north, east, down) if known else None
     told = {"yaw_deg": yaw_deg, "age_s": age_s, "link_age_s": age_s}
-    shown = snapshot(setting, craft("green", place, **told), **told)
+    shown = snapshot(setup, craft("green", place, **told), **told)
     lost = replace(shown, craft=(replace(shown.craft[0], position=place), *shown.craft[1:]))
     for one in (shown, lost):
         reach_m = reach_of_all(one)
@@ -111,8 +111,8 @@ def test_whatever_a_drone_tells_there_is_a_picture(
 @pytest.mark.parametrize(
     "place", [Geodetic(math.nan, 0.0, 0.0), Geodetic(0.0, 0.0, math.inf), Geodetic(-80.0, 170.0, 0.0), None]
 )
-def test_who_tells_to_be_nowhere_is_nowhere(setting: Setting, place: Geodetic | None) -> None:
-    told = craft_of("green", replace(NEVER_HEARD, geodetic=place), setting.frame, 0.0, ours=True)
+def test_who_tells_to_be_nowhere_is_nowhere(setup: RunSetup, place: Geodetic | None) -> None:
+    told = craft_of("green", replace(NEVER_HEARD, geodetic=place), setup.frame, 0.0, ours=True)
     assert told.position is None
 
 

@@ -260,7 +260,7 @@ class Flying(Screen[None]):
         self.notify(text, severity="error", markup=False)
 
     def _show_colours(self, snapshot: Snapshot) -> None:
-        self._colours = snapshot.setting.colours
+        self._colours = snapshot.setup.colours
         row = self.query_one("#colours", Horizontal)
         buttons = [
             Key(f"{number} {colour.capitalize()}", f"pair-{number - 1}")

@@ -99,7 +99,7 @@ def from_above(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked |
     window = Window(
         centre.east - reach_m * aspect, centre.east + reach_m * aspect, centre.north - reach_m, centre.north + reach_m
     )
-    world, state = snapshot.setting.world, snapshot.state
+    world, state = snapshot.setup.world, snapshot.state
     strokes = list(_ground_from_above(world, window))
     strokes += [Stroke("fence", xs, ys) for xs, ys in _outlines(world.geofence.polygon if world.geofence else None)]
     strokes += [Stroke("obstacle", xs, ys) for xs, ys in _outlines(world.obstacles.polygons)]
@@ -113,7 +113,7 @@ def from_above(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked |
         marks.append(Mark("anchor", place.east, place.north, "+"))
     for kind, line in _plans(snapshot, asked):
         strokes.append(Stroke(kind, line[:, 1], line[:, 0]))
-    operator = snapshot.setting.operator
+    operator = snapshot.setup.operator
     if operator is not None:
         marks.append(Mark("operator", operator.position.east, operator.position.north, "O"))
     for one in _placed(snapshot):
@@ -144,10 +144,10 @@ def from_above(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked |
 
 def from_side(snapshot: Snapshot, reach_m: float, aspect: float, asked: Asked | None = None) -> Drawing:
     """Height against the ground, in the vertical plane through operator and drone (or along what is being flown)."""
-    world, state = snapshot.setting.world, snapshot.state
+    world, state = snapshot.setup.world, snapshot.state
     drone = snapshot.paired
     here = drone.position if drone is not None and drone.position is not None else _focus(snapshot, reach_m)
-    operator = snapshot.setting.operator.position if snapshot.setting.operator is not None else Ned(0.0, 0.0, 0.0)
+    operator = snapshot.setup.operator.position if snapshot.setup.operator is not None else Ned(0.0, 0.0, 0.0)
     origin, along = _plane(snapshot, operator, here)
 
     def at(place: Ned) -> tuple[float, float]:
@@ -215,8 +215,8 @@ def reach_of_all(snapshot: Snapshot) -> float:
     centre, drone = _focus(snapshot, 10.0), snapshot.paired
     shown = [drone] if drone is not None else [c for c in snapshot.craft if c.ours]
     places = [c.position for c in shown if c.position is not None]
-    if snapshot.setting.operator is not None:
-        places.append(snapshot.setting.operator.position)
+    if snapshot.setup.operator is not None:
+        places.append(snapshot.setup.operator.position)
     far = [place.minus(centre).horizontal for place in places]
     return max((f for f in far if math.isfinite(f) and f < 60.0), default=10.0) * 1.1 + 4.0
 
@@ -228,15 +228,15 @@ def _focus(snapshot: Snapshot, reach_m: float) -> Ned:
     """The middle of drone and operator, in steps, so that the view does not jitter; without a pair, of everybody."""
     drone = snapshot.paired
     if drone is not None and drone.position is not None and drone.position.finite:
-        operator = snapshot.setting.operator
+        operator = snapshot.setup.operator
         middle = drone.position
         if operator is not None and middle.minus(operator.position).horizontal < BOTH_M:
             middle = Ned(*(0.5 * (a + b) for a, b in zip(middle, operator.position, strict=True)))
         step_m = reach_m / 4.0
         return Ned(*(round(c / step_m) * step_m for c in middle))
     places = [c.position for c in snapshot.craft if c.ours and c.position is not None and c.position.finite]
-    if snapshot.setting.operator is not None:
-        places.append(snapshot.setting.operator.position)
+    if snapshot.setup.operator is not None:
+        places.append(snapshot.setup.operator.position)
     if not places:
         return Ned(0.0, 0.0, 0.0)
     low = [min(along) for along in zip(*places, strict=True)]
