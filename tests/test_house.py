@@ -11,7 +11,7 @@ import pytest
 
 import safety
 from safety.requirements import REQUIREMENTS
-from tests.trace import marks, trace
+from tests.trace import TESTS, marks, marks_elsewhere, trace
 
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = ("ui", "m3r_app", "modalities", "config", "safety")
@@ -106,14 +106,23 @@ def test_only_requirements_that_exist_are_cited() -> None:
     assert set(REQUIREMENTS) >= CODE
 
 
-def test_only_marks_count(tmp_path: Path) -> None:
-    """A docstring that names R1 holds nothing."""
+def test_only_marks_on_tests_count(tmp_path: Path) -> None:
+    """A docstring that names R1 holds nothing, nor does a mark on a file, on a class or on what is no test."""
     one = tmp_path / "test_one.py"
     one.write_text(
         'import pytest\n"""R2"""\npytestmark = [pytest.mark.slow, pytest.mark.requirement("R3")]\n'
         '@pytest.mark.requirement("R4", "R5")\ndef test_it():\n    """R1"""\n'
+        '@pytest.mark.requirement("R6")\nclass TestThis:\n'
+        '    @pytest.mark.requirement("R7")\n    def test_that(self): ...\n'
+        '@pytest.mark.requirement("R8")\ndef helps(): ...\n'
     )
-    assert list(marks(one)) == [("R3", ""), ("R4", "test_it"), ("R5", "test_it")]
+    assert set(marks(one)) == {("R4", "test_it"), ("R5", "test_it"), ("R7", "test_that")}
+    assert sorted(marks_elsewhere(one)) == ["R3", "R6", "R8"]
+
+
+def test_requirements_are_marked_on_tests_alone() -> None:
+    found = {str(path.relative_to(TESTS)): marks_elsewhere(path) for path in TESTS.rglob("*.py")}
+    assert {path: named for path, named in found.items() if named} == {}
 
 
 def test_the_tracked_files_are_seen() -> None:

@@ -1,6 +1,6 @@
 """Which test holds which requirement: read from the marks `pytest.mark.requirement("R7")` alone. `make trace` prints it.
 
-A mark on a test names what that test holds; one on a file names what all of its tests are about.
+Only a mark on a test counts, a function or a method: one on a file or a class does not say which test holds it.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ TESTS = Path(__file__).resolve().parent
 
 
 def marks(path: Path) -> Iterator[tuple[str, str]]:
-    """(requirement, test) of a file; the test is empty where the mark is the whole file's."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef():
-                yield from ((one, node.name) for each in node.decorator_list for one in _named(each))
-            case ast.Assign(targets=[ast.Name(id="pytestmark")]):
-                yield from ((one, "") for one in _named(node.value))
+    """(requirement, test) of a file: by the decorators of its tests."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_"):
+            yield from ((one, node.name) for each in node.decorator_list for one in _named(each))
+
+
+def marks_elsewhere(path: Path) -> list[str]:
+    """Requirements that a file marks on anything but a test: on the whole file or a class, say."""
+    everywhere = list(_named(ast.parse(path.read_text(encoding="utf-8"))))
+    for one, _ in marks(path):
+        everywhere.remove(one)
+    return everywhere
 
 
 def _named(node: ast.expr) -> Iterator[str]:
@@ -36,7 +41,7 @@ def trace() -> dict[str, list[str]]:
     found: dict[str, list[str]] = defaultdict(list)
     for path in sorted(TESTS.rglob("test_*.py")):
         for requirement, test in marks(path):
-            found[requirement].append(f"{path.relative_to(TESTS)}{'::' + test if test else ''}")
+            found[requirement].append(f"{path.relative_to(TESTS)}::{test}")
     unknown = found.keys() - REQUIREMENTS.keys()
     assert not unknown, f"no such requirement: {sorted(unknown)}"
     return {requirement: found[requirement] for requirement in REQUIREMENTS}

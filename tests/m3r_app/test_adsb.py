@@ -15,8 +15,6 @@ from m3r_app.vehicle.adsb import FORGET_S, GEOMETRIC_SIGMA_M, KEPT, PRESSURE_SIG
 from safety.vocabulary import Geodetic, Ned
 from tests.whole import PLAIN, m3r, simulated
 
-pytestmark = pytest.mark.requirement("R5", "R11", "X6")
-
 ALL = 1 | 2 | 4 | 8 | 16 | 128
 PLACE = Geodetic(47.0, 8.0, 700.0)
 
@@ -30,6 +28,7 @@ def heard(**changes: Any) -> Any:
     return SimpleNamespace(**(fields | changes))
 
 
+@pytest.mark.requirement("R5")
 def test_an_aircraft_that_says_everything() -> None:
     one = aircraft(heard(), ALL, 100.0)
     assert one.place == PLACE and one.name == "DLH1" and one.at_s == 99.0 and one.sigma_m == GEOMETRIC_SIGMA_M
@@ -37,6 +36,7 @@ def test_an_aircraft_that_says_everything() -> None:
     assert aircraft(heard(altitude_type=0), ALL, 100.0).sigma_m == PRESSURE_SIGMA_M
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize(("flags", "placed", "moving", "name"), [
     (0, False, False, "aircraft 3c6444"), (ALL & ~1, False, True, "DLH1"), (ALL & ~2, False, True, "DLH1"),
     (ALL & ~4, True, False, "DLH1"), (ALL & ~8, True, False, "DLH1"), (ALL & ~128, True, False, "DLH1"),
@@ -47,6 +47,7 @@ def test_what_is_not_valid_is_unknown(flags: int, placed: bool, moving: bool, na
     assert (one.place is not None, one.velocity is not None, one.name) == (placed, moving, name)
 
 
+@pytest.mark.requirement("X6")
 @given(
     st.sampled_from(
         [
@@ -68,6 +69,7 @@ def test_what_is_no_number_is_unknown(field: str, value: float) -> None:
     assert (one.velocity is None) != (one.place is None)
 
 
+@pytest.mark.requirement("R5")
 def test_the_latest_of_each_is_kept_for_a_while() -> None:
     one = AdsbTraffic()
     one.flags(0x3C6444, ALL)
@@ -87,6 +89,7 @@ def test_of_what_several_hear_the_newest_counts() -> None:
     assert set(newest([new, other, old])) == {new, other}
 
 
+@pytest.mark.requirement("R5")
 def test_an_aircraft_nearby_blocks_and_the_paired_drone_sounds(tmp_path: Path) -> None:
     """Only its transponder tells of it: a real flight over UDP. The tune is heard by the drone, as its truth says."""
     scenario = tmp_path / "adsb.toml"

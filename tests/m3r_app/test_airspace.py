@@ -10,8 +10,6 @@ import pytest
 from m3r_app.airspace.local import LocalAirspace
 from safety.vocabulary import Geodetic, Ned, ReservedVolume
 
-pytestmark = pytest.mark.requirement("R5", "X10")
-
 RED = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 100.0, 110.0)
 NEAR = replace(RED, holder="blue", start=Ned(3, 0, -10), end=Ned(4, 0, -10))
 FAR = replace(NEAR, start=Ned(30, 0, -10), end=Ned(31, 0, -10))
@@ -31,6 +29,7 @@ class Here:
         return only
 
 
+@pytest.mark.requirement("X10")
 def test_who_comes_second_is_told_who_is_in_the_way() -> None:
     here = Here()
     assert here.reserve("a", RED) == ("granted", "")
@@ -41,6 +40,7 @@ def test_who_comes_second_is_told_who_is_in_the_way() -> None:
     assert here.airspace.held_by_others("red") == (FAR,)
 
 
+@pytest.mark.requirement("X10")
 def test_freed_or_run_out_it_is_free() -> None:
     here = Here()
     assert here.reserve("a", RED)[0] == "granted"
@@ -59,7 +59,7 @@ def test_ones_own_volumes_do_not_meet() -> None:
     assert here.reserve("b", RED)[0] == "granted"
 
 
-@pytest.mark.requirement("X6")
+@pytest.mark.requirement("X6", "X10")
 @pytest.mark.parametrize("bad", [
     {"start": Ned(math.nan, 0, 0)}, {"radius_m": math.nan}, {"until_s": math.inf}, {"from_s": math.nan},
 ])  # fmt: skip

@@ -9,8 +9,6 @@ import pytest
 from m3r_app.arbiter.fusion import Relation, Remembered, fused, relate, remember
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
-pytestmark = pytest.mark.requirement("X5")
-
 VOICE, GESTURE = Modality.VOICE, Modality.GESTURE
 
 
@@ -20,6 +18,7 @@ def made(
     return ManeuverRequest(name, command, modality, confidence, at_s, at_s + 0.4, str(command))
 
 
+@pytest.mark.requirement("X5")
 @pytest.mark.parametrize(("command", "modality", "at_s", "relation"), [
     (Command.GO_LEFT, GESTURE, 11.0, Relation.CONFIRMS),
     (Command.GO_LEFT, GESTURE, 11.001, Relation.NEW),
@@ -35,6 +34,7 @@ def test_relation_by_capture_time(command: Command, modality: Modality, at_s: fl
     assert relate(made(command, modality, at_s, name="b"), recent, 1.0)[0] is relation
 
 
+@pytest.mark.requirement("X5")
 def test_the_latest_of_the_other_modality_counts() -> None:
     """Who changes their mind by voice is not contradicted by a gesture that follows the change."""
     recent = (Remembered(made(Command.GO_LEFT, VOICE, 10.0)), Remembered(made(Command.GO_UP, VOICE, 10.5, name="b")))
@@ -59,6 +59,7 @@ def test_no_confidence_stays_none(bad: float) -> None:
     assert math.isnan(fused(good, made(Command.GO_LEFT, GESTURE, 10.0, bad), "a").confidence)
 
 
+@pytest.mark.requirement("X5")
 def test_memory_is_short_and_keeps_one_of_each() -> None:
     recent: tuple[Remembered, ...] = ()
     for i in range(50):
@@ -82,6 +83,7 @@ def test_whoever_disagrees_outweighs_whoever_agrees() -> None:
     assert other is recent[0]
 
 
+@pytest.mark.requirement("X5")
 def test_what_nobody_was_sure_of_contradicts_nobody() -> None:
     """Noise in one modality does not veto the other."""
     recent = (Remembered(made(Command.GO_UP, GESTURE, 10.0), refused=True),)

@@ -18,8 +18,6 @@ import pytest
 
 from m3r_app.vehicle.guard import HOLD_AFTER_S, KILL_AFTER_S, Guard
 
-pytestmark = pytest.mark.requirement("X3", "X7")
-
 ROOT = Path(__file__).resolve().parents[2]
 RUNS = range(25 if os.environ.get("M3R_SOAK") else 1)
 
@@ -127,6 +125,7 @@ def eventually(condition: Callable[[], bool], within_s: float = 5.0) -> bool:
     return condition()
 
 
+@pytest.mark.requirement("X7")
 @pytest.mark.parametrize("run", RUNS)
 def test_a_blocked_event_loop_is_held_by_the_thread_within_a_second_and_learns_of_it(run: int) -> None:
     with app("block") as stalled:
@@ -139,6 +138,7 @@ def test_a_blocked_event_loop_is_held_by_the_thread_within_a_second_and_learns_o
         assert stalled.process.poll() is None
 
 
+@pytest.mark.requirement("X7")
 @pytest.mark.parametrize("run", RUNS)
 def test_a_held_interpreter_is_killed_by_the_process_and_the_operator_is_told(run: int) -> None:
     with app("gil") as stuck:
@@ -150,6 +150,7 @@ def test_a_held_interpreter_is_killed_by_the_process_and_the_operator_is_told(ru
         assert "did not respond" in stuck.process.stderr.read()
 
 
+@pytest.mark.requirement("X3")
 def test_a_held_interpreter_without_authority_lives() -> None:
     with app("gil", "unarmed") as stuck:
         stuck.hear("stuck")
@@ -157,6 +158,7 @@ def test_a_held_interpreter_without_authority_lives() -> None:
         assert stuck.process.poll() is None
 
 
+@pytest.mark.requirement("X7")
 @pytest.mark.parametrize("run", RUNS)
 def test_a_stopped_app_is_killed(run: int) -> None:
     with app("nothing") as running:
@@ -165,6 +167,7 @@ def test_a_stopped_app_is_killed(run: int) -> None:
         assert running.ended_within(2.0) == -signal.SIGKILL
 
 
+@pytest.mark.requirement("X7")
 @pytest.mark.parametrize("run", RUNS)
 def test_app_and_process_stopped_together_wake_to_a_hold_not_to_a_kill(run: int) -> None:
     with app("nothing") as both:
@@ -181,6 +184,7 @@ def test_app_and_process_stopped_together_wake_to_a_hold_not_to_a_kill(run: int)
         assert both.process.poll() is None
 
 
+@pytest.mark.requirement("X7")
 def test_the_guard_process_is_missed_and_replaced_and_the_new_one_still_kills() -> None:
     with app("nothing") as running:
         first = int(running.hear("guarded")[1])
@@ -212,6 +216,7 @@ def guarded() -> Iterator[tuple[Guard, list[str]]]:
     assert guard.process_id is None or gone(guard.process_id)
 
 
+@pytest.mark.requirement("X3")
 def test_silence_without_authority_holds_nothing(guarded: tuple[Guard, list[str]]) -> None:
     guard, _ = guarded
     held = threading.Event()
@@ -223,6 +228,7 @@ def test_silence_without_authority_holds_nothing(guarded: tuple[Guard, list[str]
     assert held.wait(1.0), "the same silence with authority must hold, or this test proves nothing"
 
 
+@pytest.mark.requirement("X7")
 def test_a_hold_that_fails_is_tried_again_and_reported_once(guarded: tuple[Guard, list[str]]) -> None:
     guard, reports = guarded
     tries: list[float] = []
@@ -240,6 +246,7 @@ def test_a_hold_that_fails_is_tried_again_and_reported_once(guarded: tuple[Guard
     assert "no answer" in reports[0] and "commanded Hold" in reports[1]
 
 
+@pytest.mark.requirement("X3", "X7")
 def test_a_stall_that_ended_just_now_is_held_all_the_same_but_not_once_authority_is_gone() -> None:
     guard = Guard(lambda _: None)
     held: list[float] = []
@@ -251,6 +258,7 @@ def test_a_stall_that_ended_just_now_is_held_all_the_same_but_not_once_authority
     assert len(held) == 1
 
 
+@pytest.mark.requirement("X7")
 def test_a_listener_that_raises_does_not_take_the_guard_down() -> None:
     def report(_: str) -> None:
         raise RuntimeError("the loop is closed")
@@ -278,6 +286,7 @@ def test_beat_says_no_until_armed_anew(guarded: tuple[Guard, list[str]]) -> None
     assert guard.beat()
 
 
+@pytest.mark.requirement("X7")
 def test_a_hung_guard_process_is_replaced(guarded: tuple[Guard, list[str]]) -> None:
     guard, reports = guarded
     first = guard.process_id

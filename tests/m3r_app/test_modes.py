@@ -9,8 +9,6 @@ import pytest
 from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD, mermaid, next_state
 from safety.vocabulary import Cause, Mode, State
 
-pytestmark = pytest.mark.requirement("P1")
-
 PAPER = [
     (State.ARMED, State.DETECTED), (State.DETECTED, State.VALIDATED), (State.VALIDATED, State.PLANNED),
     (State.VALIDATED, State.BLOCKED), (State.PLANNED, State.EXECUTING), (State.EXECUTING, State.EMERGENCY_HOLD),

@@ -14,8 +14,6 @@ from safety.limits import Limits
 from safety.planner import plan_translation
 from safety.vocabulary import Ned, Primitive
 
-pytestmark = pytest.mark.requirement("X3", "X4", "X7")
-
 PLAN = plan_translation(Primitive.MOVE_FORWARD, Ned(10.0, 0.0, -10.0), 180.0, Ned(0.0, 0.0, 0.0), 1.0, Limits())
 SHIFT = Ned(100.0, 20.0, -3.0)
 
@@ -83,6 +81,7 @@ async def test_a_plan_is_streamed_in_the_vehicles_frame_within_its_bounds() -> N
     assert made.pilot.orders == ["offboard"]
 
 
+@pytest.mark.requirement("X4")
 async def test_hold_stops_where_the_drone_is() -> None:
     made = Made()
     await made.controller.fly(PLAN, SHIFT)
@@ -94,6 +93,7 @@ async def test_hold_stops_where_the_drone_is() -> None:
     assert {s[1] for s in made.pilot.sent[-50:]} == {170.0}
 
 
+@pytest.mark.requirement("X4")
 async def test_hold_without_a_position_stays_at_the_last_setpoint() -> None:
     made = Made()
     await made.controller.fly(PLAN, SHIFT)
@@ -115,6 +115,7 @@ async def test_facing_turns_at_the_bounded_rate() -> None:
     assert yaws[-1] == pytest.approx(-100.0)
 
 
+@pytest.mark.requirement("X4")
 async def test_an_order_overtaken_by_hold_is_not_flown() -> None:
     made = Made()
     made.pilot.door.clear()

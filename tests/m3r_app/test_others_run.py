@@ -18,8 +18,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from tests.others import OtherStation, Wire
 from tests.whole import PLAIN, App, Simulated, m3r, simulated
 
-pytestmark = pytest.mark.requirement("X3", "X6", "X8")
-
 FORCE = 21196.0
 SCRIPT = "0.2 panel turn right\n2.5 panel go left\n"
 
@@ -50,6 +48,7 @@ def released(app: App) -> str:
     return str(app.until("pair", status="released")["reasons"][0])
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize("state", ["armed", "executing"])
 def test_a_hold_by_somebody_else_is_a_stop_and_ends_the_session(tmp_path: Path, state: str) -> None:
     """A safety pilot's pause was not noticed, and the next request flew."""
@@ -80,6 +79,7 @@ def test_disarmed_in_the_air_by_somebody_else_is_said_as_what_it_is(tmp_path: Pa
     assert ran.events[-1]["violations"] == 0
 
 
+@pytest.mark.requirement("X3")
 def test_an_autopilot_that_restarts_in_flight_is_a_lost_vehicle(tmp_path: Path) -> None:
     with simulated(PLAIN, tmp_path) as sim:
         app = App(flying(sim), stdin=SCRIPT)
@@ -93,6 +93,7 @@ def test_an_autopilot_that_restarts_in_flight_is_a_lost_vehicle(tmp_path: Path) 
     assert ran.events[-1]["violations"] == 0
 
 
+@pytest.mark.requirement("X3")
 def test_after_letting_go_no_setpoint_leaves_even_over_a_link_that_was_cut(tmp_path: Path) -> None:
     """PX4 came back to Offboard by itself, for seconds, after the app had said that it let go."""
     from m3r_app.ports import free_udp_block
@@ -119,6 +120,7 @@ def test_after_letting_go_no_setpoint_leaves_even_over_a_link_that_was_cut(tmp_p
     assert set(held) == {"LOITER"}
 
 
+@pytest.mark.requirement("X8")
 def test_a_link_too_slow_to_fly_by_is_refused_with_its_rate(tmp_path: Path) -> None:
     """Pairing succeeded, then every move was aborted."""
     with changed(
@@ -153,6 +155,7 @@ def test_a_noisy_estimate_is_learnt_and_flown_with(tmp_path: Path) -> None:
     assert max(wandered) < 2.5, "eight seconds hold one move of a metre and the wander of the estimate"
 
 
+@pytest.mark.requirement("X8")
 def test_a_landed_drone_above_its_own_terrain_does_not_take_off(tmp_path: Path) -> None:
     """30 m, in two ways: the model too low, and the operator."""
     with simulated(PLAIN, tmp_path) as sim:
@@ -169,6 +172,7 @@ def test_a_landed_drone_above_its_own_terrain_does_not_take_off(tmp_path: Path) 
         assert not sim.last("green")["armed"]
 
 
+@pytest.mark.requirement("X8")
 def test_a_take_off_that_could_only_be_refused_in_the_air_is_not_begun(tmp_path: Path) -> None:
     """It flew to its height first, and hovered there unpaired."""
     with simulated(PLAIN, tmp_path) as sim:

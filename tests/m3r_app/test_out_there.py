@@ -22,8 +22,6 @@ from safety.vocabulary import Command, Finding, FlightMode, Ned, State
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.test_arbiter import delayed, facing, flying, held, settling, waiting
 
-pytestmark = pytest.mark.requirement("R8", "R10", "X3", "X6", "X8")
-
 IN_SESSION = [facing, lambda: Tabletop().paired(), flying, held, settling, delayed, waiting]
 
 
@@ -41,6 +39,7 @@ def last_words(table: Tabletop) -> str:
 # ---------------------------------------------------------------- whose motion it is: X3
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize("made", IN_SESSION)
 def test_a_hold_not_asked_for_ends_every_session(made: Callable[[], Tabletop]) -> None:
     table = told(made(), flight_mode=FlightMode.HOLD, unasked_hold=True)
@@ -118,6 +117,7 @@ def too_fast(table: Tabletop, seconds: float, **changes: Any) -> None:
         told(table, **{"mode_at_s": at_s, **changes})
 
 
+@pytest.mark.requirement("X3")
 def test_what_happens_before_a_takeover_is_told_is_no_violation_of_ours() -> None:
     """Somebody lands it: its descent is seen before its mode, which comes once a second."""
     table = flying()
@@ -136,6 +136,7 @@ def test_what_is_still_ours_when_the_mode_is_told_again_is_counted() -> None:
     assert [v["kind"] for v in table.reports("violation")].count("actual") == 1
 
 
+@pytest.mark.requirement("R10")
 def test_what_is_suspected_when_we_end_it_is_counted() -> None:
     table = flying()
     too_fast(table, 0.6)
@@ -163,6 +164,7 @@ def test_a_jump_of_the_estimate_moves_no_drone(made: Callable[[], Tabletop], off
     assert table.effects(Hold).count(Hold("estimate moved")) == holds + 1, "said once"
 
 
+@pytest.mark.requirement("X6")
 def test_after_a_jump_nothing_is_flown_until_position_and_velocity_agree_again() -> None:
     table = Tabletop().paired()
     table.position = table.position.plus(Ned(0.0, 2.0, 0.0))
@@ -200,6 +202,7 @@ def test_a_local_frame_that_moved_is_a_jump_for_a_hovering_drone_too() -> None:
 # ---------------------------------------------------------------- one cause, one sentence
 
 
+@pytest.mark.requirement("R10", "X6")
 def test_a_lost_position_is_one_sentence() -> None:
     table = flying()
     told(table, sigma_h_m=100.0, sigma_v_m=60.0)
@@ -257,6 +260,7 @@ def test_a_quiet_estimate_changes_no_limit() -> None:
     assert table.state.limits == Limits() and table.state.noise is None
 
 
+@pytest.mark.requirement("R8")
 def test_a_noisy_estimate_widens_the_limits_of_its_session_and_no_other() -> None:
     table = Noisy(0.2, 0.15).paired()
     limits, noise = table.state.limits, table.state.noise
@@ -270,6 +274,7 @@ def test_a_noisy_estimate_widens_the_limits_of_its_session_and_no_other() -> Non
     assert table.state.limits == Limits()
 
 
+@pytest.mark.requirement("X8")
 def test_an_estimate_that_is_too_noisy_is_not_paired_with() -> None:
     table = Noisy(0.2, 0.5)
     table.neighbours()
@@ -311,6 +316,7 @@ def test_a_maneuver_is_completed_there_and_facing_as_planned(off_m: float, off_d
     assert bool(table.motions("aborted")) != completes, "what does not complete is aborted in time"
 
 
+@pytest.mark.requirement("R10")
 def test_a_maneuver_that_ends_elsewhere_is_not_completed() -> None:
     table = Tabletop().paired()
     table.ask(Command.GO_LEFT)

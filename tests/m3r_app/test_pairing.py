@@ -19,8 +19,6 @@ from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import FlightMode, Geodetic, Ned, Operator
 
-pytestmark = pytest.mark.requirement("P1", "X8")
-
 FRAME = LocalFrame(Geodetic(46.0, 7.0, 500.0))
 OPERATOR = Operator(Ned(0.0, 0.0, 0.0), 0.5)
 WORLD = World(Terrain.flat(500.0, 0.1, 500.0), Obstacles.none(), None)
@@ -40,10 +38,12 @@ def at(*ned: float) -> dict[str, Any]:
     return {"geodetic": FRAME.geodetic(Ned(*ned))}
 
 
+@pytest.mark.requirement("X8")
 def test_nothing_stands_against_a_fit_drone() -> None:
     assert found() == ()
 
 
+@pytest.mark.requirement("P1", "X8")
 @pytest.mark.parametrize(("change", "says"), [
     ({"at_s": 99.0}, "stale"), ({"at_s": math.nan}, "stale"),
     ({"healthy": False, "unhealthy": ("gyro", "home")}, "gyro, home"),
@@ -58,16 +58,19 @@ def test_each_objection(change: dict[str, Any], says: str) -> None:
     assert any(says in sentence for sentence in found(replace(FIT, **change)))
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize("sigma_m", [3.1, math.nan, math.inf])
 def test_the_operator_must_be_located(sigma_m: float) -> None:
     assert any("operator's position" in s for s in found(operator=replace(OPERATOR, sigma_m=sigma_m)))
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize("terrain", [None, Terrain.flat(500.0, 2.1, 500.0), Terrain.flat(500.0, math.nan, 500.0)])
 def test_the_terrain_must_be_known(terrain: Terrain | None) -> None:
     assert any("terrain model" in s for s in found(world=replace(WORLD, terrain=terrain)))
 
 
+@pytest.mark.requirement("X8")
 def test_a_silent_drone_has_every_objection_at_once() -> None:
     assert len(found(NEVER_HEARD)) >= 6
 
@@ -75,6 +78,7 @@ def test_a_silent_drone_has_every_objection_at_once() -> None:
 # ---------------------------------------------------------------- as vehicles are out there
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize(("rate_hz", "refused"), [(6.0, False), (5.9, True), (4.0, True), (math.nan, True)])
 def test_positions_must_come_often_enough(rate_hz: float, refused: bool) -> None:
     """At 4 Hz pairing succeeded and every move was aborted: the last position was too old."""
@@ -87,6 +91,7 @@ def test_the_needed_rate_follows_from_the_limits() -> None:
     assert needed_rate_hz(replace(LIMITS, speed_m_s=2.0, tracking_m=0.1)) == pytest.approx(40.0)
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize(
     ("battery", "declared", "refused"),
     [(None, False, True), (None, True, False), (0.19, True, True), (0.2, False, False), (0.0, False, True)],
@@ -97,10 +102,12 @@ def test_the_battery_is_known_or_declared_unknown(battery: float | None, declare
     assert any("battery" in s for s in said) == refused
 
 
+@pytest.mark.requirement("X8")
 def test_a_drone_in_somebody_elses_offboard_is_not_taken() -> None:
     assert any("OFFBOARD" in s for s in found(replace(FIT, flight_mode=FlightMode.OFFBOARD)))
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize(("up_m", "refused"), [(1.9, True), (2.1, False)])
 def test_a_drone_that_hovers_lower_than_it_may_is_not_paired_with(up_m: float, refused: bool) -> None:
     """The best estimate counts: what is uncertain is counted against every move."""
@@ -111,6 +118,7 @@ def test_a_drone_that_hovers_lower_than_it_may_is_not_paired_with(up_m: float, r
 STANDING = replace(FIT, in_air=False, armed=False, flight_mode=FlightMode.HOLD, **at(10.0, 0.0, -0.1))
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize(
     ("metres", "says"),
     [
@@ -129,6 +137,7 @@ def test_a_take_off_is_judged_where_it_leads(metres: float, says: str | None) ->
     )
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize("change", [at(3.0, 0.0, -0.1), {"healthy": False}, {"sigma_h_m": 3.0}, {"rate_hz": 2.0}])
 def test_what_is_known_on_the_ground_forbids_the_take_off(change: dict[str, Any]) -> None:
     assert objections(replace(STANDING, **change), FRAME, OPERATOR, WORLD, LIMITS, PAIRING, 100.1, 10.0)

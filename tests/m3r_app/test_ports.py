@@ -10,8 +10,6 @@ import pytest
 
 from m3r_app.ports import LinkError, check_link, require_free
 
-pytestmark = pytest.mark.requirement("X6")
-
 HOLDER = """
 import socket, sys
 held = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

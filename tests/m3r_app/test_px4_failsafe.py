@@ -10,8 +10,6 @@ import pytest
 
 from m3r_app.vehicle.px4_failsafe import HOLD_ACTION, apply, check, mismatches
 
-pytestmark = pytest.mark.requirement("X7", "X8")
-
 GOOD: dict[str, float | None] = {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3}
 PX4_DEFAULTS: dict[str, float | None] = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1}
 
@@ -33,10 +31,12 @@ class Memory:
             self.values[name] = value
 
 
+@pytest.mark.requirement("X8")
 def test_as_required_nothing_is_found() -> None:
     assert mismatches(GOOD, rc_present=True) == ()
 
 
+@pytest.mark.requirement("X7", "X8")
 @pytest.mark.parametrize(
     ("value", "passes"),
     [(1.0, True), (math.nextafter(1.0, 2), False), (0.01, True), (0.0, False), (-1.0, False), (60.0, False),
@@ -47,11 +47,13 @@ def test_offboard_loss_is_noticed_within_a_second(value: float | None, passes: b
     assert [m.name for m in found] == ([] if passes else ["COM_OF_LOSS_T"])
 
 
+@pytest.mark.requirement("X7", "X8")
 @pytest.mark.parametrize("value", [-1, 0, 1, 2, 3, 4, 6, 7, math.nan, None])
 def test_only_hold_will_do_after_offboard_is_lost(value: float | None) -> None:
     assert [m.name for m in mismatches({**GOOD, "COM_OBL_RC_ACT": value}, False)] == ["COM_OBL_RC_ACT"]
 
 
+@pytest.mark.requirement("X8")
 @pytest.mark.parametrize("value", [0, 1, 4, 5, math.nan, None])
 def test_the_sticks_must_take_over_from_offboard_where_there_may_be_a_remote_control(value: float | None) -> None:
     values = {**GOOD, "COM_RC_OVERRIDE": value}
@@ -65,6 +67,7 @@ def test_any_override_with_bit_1_will_do(value: float) -> None:
     assert mismatches({**GOOD, "COM_RC_OVERRIDE": value}, True) == ()
 
 
+@pytest.mark.requirement("X8")
 def test_every_mismatch_is_told_with_value_requirement_and_remedy() -> None:
     found = mismatches({"COM_OF_LOSS_T": 5.0, "COM_OBL_RC_ACT": 0}, rc_present=True)
     assert [m.name for m in found] == ["COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_OVERRIDE"]
@@ -82,11 +85,13 @@ def test_px4s_defaults_are_refused_then_applied_and_read_back() -> None:
     assert all(name != "COM_OF_LOSS_T" for name, _ in vehicle.written), "what is as required is left alone"
 
 
+@pytest.mark.requirement("X8")
 def test_a_value_that_does_not_stick_is_still_a_mismatch() -> None:
     vehicle = Memory(PX4_DEFAULTS, stuck=["COM_OBL_RC_ACT"])
     assert [m.name for m in asyncio.run(apply(vehicle, False))] == ["COM_OBL_RC_ACT"]
 
 
+@pytest.mark.requirement("X8")
 def test_a_missing_parameter_is_not_set_but_told() -> None:
     vehicle = Memory({"COM_OBL_RC_ACT": 5})
     found = asyncio.run(apply(vehicle, False))

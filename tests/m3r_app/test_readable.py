@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 
 from m3r_app.readable import HIDDEN, LONGEST, readable
 
-pytestmark = pytest.mark.requirement("X6")
-
 
 @pytest.mark.parametrize(
     ("said", "shown"),

@@ -12,11 +12,10 @@ from m3r_app.output import AnnounceEvent, MotionEvent, MotionStatus, OutputEvent
 from m3r_app.run import run
 from tests.whole import PLAIN, simulated
 
-pytestmark = pytest.mark.requirement("X7")
-
 STALL_S = 2.5
 
 
+@pytest.mark.requirement("X7")
 @pytest.mark.soak
 async def test_a_blocked_event_loop_is_held_by_the_guard(tmp_path: Path) -> None:
     """Whoever takes the app's output blocks the whole loop: the drone is in Hold within a second all the same."""

@@ -14,8 +14,6 @@ from m3r_app.vehicle.mavsdk_telemetry import HEALTH_CHECKS, RC_RECEIVER, Recepti
 from m3r_app.vehicle.telemetry import ACCURACY_AGE_S, BATTERY_AGE_S, MODE_AGE_S, NEVER_HEARD, Accuracy, Health, Slots
 from safety.vocabulary import FlightMode, Geodetic, Ned
 
-pytestmark = pytest.mark.requirement("X6")
-
 PLACE = Geodetic(47.0, 8.0, 500.0)
 
 
@@ -82,6 +80,7 @@ class Heard:
         self.tell("position_velocity_ned", position=position, velocity=velocity)
 
 
+@pytest.mark.requirement("X6")
 def test_before_anything_is_heard_everything_is_unknown() -> None:
     assert repr(Slots().snapshot(100.0)) == repr(NEVER_HEARD).replace("no telemetry", "no health report")
     assert NEVER_HEARD.age_s(0.0) == NEVER_HEARD.link_age_s(0.0) == math.inf
@@ -118,6 +117,7 @@ def test_the_age_is_that_of_the_oldest_of_positions_and_attitude(oldest: str) ->
     assert (telemetry.age_s(107.0), telemetry.link_age_s(107.0)) == (7.0, 0.0)
 
 
+@pytest.mark.requirement("X6")
 def test_what_is_stale_is_unknown_from_its_limit_on() -> None:
     heard = Heard()
     heard.tell_everything()
@@ -133,6 +133,7 @@ def test_what_is_stale_is_unknown_from_its_limit_on() -> None:
     assert slots.snapshot(100.0 + BATTERY_AGE_S + 0.01).battery is None
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_values_that_are_not_finite_are_dropped_so_that_the_old_ones_age(bad: float) -> None:
     heard = Heard()
@@ -170,6 +171,7 @@ def test_accuracy_is_the_estimators_else_the_receivers_and_zero_states_nothing(
     assert telemetry.sigma_v_m == 1.0
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "null", "{}", '{"pos_horiz_accuracy": "x"}', '{"pos_horiz_accuracy": null}', '{"a": nan}']
 )
@@ -269,6 +271,7 @@ def test_the_time_since_boot_tells_a_restart(before: int, after: int, restarts: 
     assert heard.reception.slots.snapshot(100.0).restarts == restarts
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize(
     ("level_m", "height_m", "larger_m"),
     [(0.3, 0.5, 0.5), (0.5, 0.3, 0.5), (math.nan, 0.3, math.nan), (0.3, math.nan, math.nan)],

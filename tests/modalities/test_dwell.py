@@ -11,8 +11,6 @@ from modalities.hands.dwell import HOLD_S, LONGEST_GAP_S, REARM_S, DwellFilter, 
 from modalities.hands.gestures import NO_HAND, Reading
 from safety.vocabulary import Command
 
-pytestmark = pytest.mark.requirement("R1", "X4")
-
 LEFT = Reading(Command.GO_LEFT, 0.9, "index finger left")
 RIGHT = Reading(Command.GO_RIGHT, 0.9, "index finger right")
 PALM = Reading(Command.STOP, 0.8, "open palm")
@@ -24,6 +22,7 @@ def play(hold: DwellFilter, readings: Iterable[Reading], rate_hz: float = 30.0, 
     return [one for one in held if one is not None]
 
 
+@pytest.mark.requirement("R1")
 @pytest.mark.parametrize("rate_hz", [6.0, 10.0, 15.0, 24.0, 30.0, 60.0, 120.0])
 def test_one_held_gesture_is_one_request_at_any_frame_rate(rate_hz: float) -> None:
     held = play(DwellFilter(), [LEFT] * round(5.0 * rate_hz), rate_hz)
@@ -33,6 +32,7 @@ def test_one_held_gesture_is_one_request_at_any_frame_rate(rate_hz: float) -> No
     assert held[0].held_s == HOLD_S
 
 
+@pytest.mark.requirement("X4")
 @pytest.mark.parametrize("rate_hz", [6.0, 15.0, 30.0])
 def test_a_palm_stops_after_half_the_time(rate_hz: float) -> None:
     held = play(DwellFilter(), [PALM] * round(3.0 * rate_hz), rate_hz)
@@ -49,6 +49,7 @@ def test_too_short_is_nothing() -> None:
     )
 
 
+@pytest.mark.requirement("R1")
 def test_losing_the_hand_is_never_a_request() -> None:
     for shown in range(15):
         assert play(DwellFilter(), [LEFT] * shown + [NOTHING] * 100) == []
@@ -86,6 +87,7 @@ def test_time_without_frames_is_neither_holding_nor_leaving() -> None:
     assert play(hold, [LEFT] * 60, begin_s=60.0) == [], "nor that the hand had left"
 
 
+@pytest.mark.requirement("X4")
 def test_a_stall_in_the_middle_of_a_palm_does_not_complete_it() -> None:
     hold = DwellFilter()
     hold.accept(PALM, 0.0)

@@ -15,8 +15,6 @@ from modalities.hands.gestures import DISAGREE, LEAST_CONFIDENCE, NO_HAND, Hand,
 from safety.vocabulary import Command
 from tests.modalities.hand_shapes import HEIGHT_PX, WIDTH_PX, make_hand
 
-pytestmark = pytest.mark.requirement("R1", "X4")
-
 UP, DOWN, PICTURES_RIGHT, PICTURES_LEFT = 90.0, -90.0, 0.0, 180.0
 NINE = [
     ("-|---", UP, Command.GO_UP),
@@ -38,6 +36,7 @@ MIRROR = {
 MEANT = {"-|---", "-||--", "|||||"}
 
 
+@pytest.mark.requirement("R1")
 @pytest.mark.parametrize("left_hand", [False, True])
 @pytest.mark.parametrize("size_px", [25.0, 110.0])
 @pytest.mark.parametrize("tilt_deg", [-20.0, 0.0, 20.0])
@@ -66,6 +65,7 @@ def test_a_mirrored_camera_swaps_left_and_right_and_nothing_else(
     assert mirrored.text == read_hand(hand).text
 
 
+@pytest.mark.requirement("R1")
 @pytest.mark.parametrize("angle_deg", [UP, DOWN, PICTURES_RIGHT, PICTURES_LEFT])
 @pytest.mark.parametrize(
     "stretched", ["".join(shape) for shape in product("|-", repeat=5) if "".join(shape) not in MEANT]
@@ -77,6 +77,7 @@ def test_every_other_shape_asks_for_nothing(stretched: str, angle_deg: float) ->
     assert reading.text
 
 
+@pytest.mark.requirement("X4")
 @pytest.mark.parametrize("angle_deg", [UP, DOWN, PICTURES_RIGHT])
 def test_an_open_palm_stops_however_it_is_turned(angle_deg: float) -> None:
     assert read_hand(make_hand("|||||", angle_deg)).command is Command.STOP
@@ -96,6 +97,7 @@ def test_between_two_directions_is_nothing_above_the_threshold(stretched: str, a
         assert read_hand(make_hand(stretched, angle_deg + off_deg)).command is None
 
 
+@pytest.mark.requirement("R1")
 @given(angle_deg=st.floats(-180.0, 180.0), stretched=st.sampled_from(["-|---", "-||--"]))
 def test_never_a_wrong_direction_above_the_threshold(angle_deg: float, stretched: str) -> None:
     reading = read_hand(make_hand(stretched, angle_deg))
@@ -123,6 +125,7 @@ def test_pointing_at_the_camera_points_nowhere() -> None:
     assert read_hand(make_hand("-|---", towards_camera_deg=70.0)).command is None
 
 
+@pytest.mark.requirement("R1")
 def test_two_hands_that_disagree_ask_for_nothing() -> None:
     left = make_hand("-|---", PICTURES_RIGHT, at_px=(450.0, 240.0))
     right = make_hand("-|---", PICTURES_LEFT, at_px=(200.0, 240.0))

@@ -19,12 +19,7 @@ from m3r_app.ports import free_udp_block
 from tests.px4.flight import Flight
 from tests.px4.sitl import Px4, Relay, place
 
-pytestmark = [
-    pytest.mark.px4,
-    pytest.mark.xdist_group("px4"),
-    pytest.mark.timeout(600),
-    pytest.mark.requirement("X1", "X3", "X6", "X8"),
-]
+pytestmark = [pytest.mark.px4, pytest.mark.xdist_group("px4"), pytest.mark.timeout(600)]
 
 Fly = Callable[..., Flight]
 ROUNDS = int(os.environ.get("M3R_PX4_ROUNDS", "2"))
@@ -84,6 +79,7 @@ def test_stock_noise_is_flown_with(px4: Px4, fly: Fly) -> None:
     assert len(over) <= max(1, 0.05 * len(completed)), (over, sigma_m)
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize("mode", ["HOLD", "RTL", "LAND"])
 def test_another_station_takes_over_in_hover(px4: Px4, fly: Fly, mode: str) -> None:
     flight = fly(px4, "20.0 panel go left\n")
@@ -97,6 +93,7 @@ def test_another_station_takes_over_in_hover(px4: Px4, fly: Fly, mode: str) -> N
     assert not flight.of("motion") and not flight.violations()
 
 
+@pytest.mark.requirement("X3")
 @pytest.mark.parametrize("mode", ["HOLD", "POSCTL", "RTL", "LAND"])
 def test_another_station_takes_over_in_mid_move(px4: Px4, fly: Fly, mode: str) -> None:
     flight = fly(px4, MOVE)
@@ -113,6 +110,7 @@ def test_another_station_takes_over_in_mid_move(px4: Px4, fly: Fly, mode: str) -
     assert not flight.violations(), flight.violations()
 
 
+@pytest.mark.requirement("X3")
 def test_a_cut_link_ends_in_hold_and_no_setpoint_leaves_after_letting_go(px4: Px4, fly: Fly) -> None:
     with Relay(px4.app_port) as relay:
         flight = fly(px4, "1.0 panel turn left\n25.0 panel go right\n", port=relay.app_port)
@@ -138,6 +136,7 @@ def test_ended_in_mid_move_it_stops_and_holds(px4: Px4, fly: Fly, how: signal.Si
     assert px4.mode_since(at_s)[-1] == "HOLD"
 
 
+@pytest.mark.requirement("X6")
 def test_without_gps_it_says_one_thing(px4: Px4, fly: Fly) -> None:
     flight = fly(px4, "1.0 panel turn left\n25.0 panel go right\n", "--timeout", "60")
     at_s = mid_move(flight)
@@ -182,6 +181,7 @@ def test_a_bad_link_is_flown_or_refused(px4: Px4, fly: Fly, trouble: dict[str, o
     assert not flight.violations()
 
 
+@pytest.mark.requirement("X3")
 def test_two_apps_do_not_fly_one_drone(px4: Px4, fly: Fly) -> None:
     port = free_udp_block(1)
     px4.link(14880 + px4.instance, port)
@@ -196,6 +196,7 @@ def test_two_apps_do_not_fly_one_drone(px4: Px4, fly: Fly) -> None:
     assert [move["status"] for move in first.moves()].count("completed") >= 2, first.moves()
 
 
+@pytest.mark.requirement("X8")
 def test_a_take_off_is_judged_before_it_begins(px4: Px4, fly: Fly) -> None:
     """The operator too near, too low a height, heights that disagree."""
     for more, reason in (

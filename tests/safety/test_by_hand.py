@@ -28,10 +28,6 @@ from safety.terrain import Terrain
 from safety.vocabulary import Command, Decision, ManeuverRequest, Modality, Ned, Path, Primitive, Verdict
 from tests.safety.scene import LIMITS, NOW_S, START, number, situation, sky, vehicle, wall, world
 
-pytestmark = pytest.mark.requirement(
-    "R3", "R4", "R5", "R6", "R7", "R8", "R11", "G2", "G3", "G4", "G5", "G6", "X6", "X8", "X11"
-)
-
 SOUTH = Ned(-10.0, 0.0, 0.0)
 AMSL_M = 730.0
 """Of the local origin: a sign that is wrong is wrong by a kilometre and a half."""
@@ -54,6 +50,7 @@ def point(north: float, east: float, up: float) -> Path:
 # ---------------------------------------------------------------- where a plan leads
 
 
+@pytest.mark.requirement("R2")
 @pytest.mark.parametrize(
     ("primitive", "moves"),
     [
@@ -134,6 +131,7 @@ def test_a_slope_rises_where_its_heights_do() -> None:
     assert grid.slope == pytest.approx(0.1)
 
 
+@pytest.mark.requirement("R3", "G2", "X11")
 @pytest.mark.parametrize("up_m", [4.0, 6.0, 9.0])
 def test_margins_over_flat_ground_by_hand(up_m: float) -> None:
     """Required: 1.5 m and 2 m, the tube of 0.3 m, twice 0.2 m sideways or 0.1 m upright of the drone, twice 0.4 m of the model."""
@@ -150,6 +148,7 @@ def test_margins_over_flat_ground_by_hand(up_m: float) -> None:
 # ---------------------------------------------------------------- the least of several
 
 
+@pytest.mark.requirement("R3", "X11")
 def test_of_several_obstacles_the_nearest_counts() -> None:
     boxes = [shapely.box(n, -5.0, n + 1.0, 5.0) for n in (30.0, 8.0, 19.0)]
     about = seen(world=world(obstacles=Obstacles.of(["far", "near", "middle"], boxes, [0.0] * 3, [30.0] * 3, 0.0)))
@@ -158,6 +157,7 @@ def test_of_several_obstacles_the_nearest_counts() -> None:
     assert found.text.startswith("near")
 
 
+@pytest.mark.requirement("G4", "G5")
 @pytest.mark.parametrize(("up_m", "margin_m"), [(3.0, 2.5), (38.0, 1.5), (20.0, 5.0)])
 def test_of_a_fence_the_nearest_of_side_floor_and_ceiling_counts(up_m: float, margin_m: float) -> None:
     """Sides at 5.5 m, floor at 0 m, ceiling at 40 m; the error is 0.5 m each way."""
@@ -183,6 +183,7 @@ def test_a_fence_with_only_a_floor_or_only_a_ceiling_has_it(
     assert geofence(point(0.0, 0.0, up_m), seen(world=world(geofence=fence)), LIMITS).passed == passed
 
 
+@pytest.mark.requirement("X2")
 @pytest.mark.parametrize(("north", "passed"), [(-6.6, True), (-6.8, False)])
 def test_the_standoff_is_horizontal(north: float, passed: bool) -> None:
     """3 m, the tube, twice 0.1 m: 3.5 m from an operator at -10.2 m; height does not help."""
@@ -193,6 +194,7 @@ def test_the_standoff_is_horizontal(north: float, passed: bool) -> None:
 # ---------------------------------------------------------------- who may fly
 
 
+@pytest.mark.requirement("X3", "X8")
 @pytest.mark.parametrize(
     ("changes", "held", "passed"),
     [
@@ -228,6 +230,7 @@ def least_apart_m(decision: Decision, wall_m: float, other: Ned, velocity: Ned) 
     return to_wall, to_other
 
 
+@pytest.mark.requirement("R4", "R6")
 @settings(max_examples=120, deadline=None)
 @given(
     st.floats(2.2, 4.0),
@@ -255,6 +258,7 @@ def test_what_is_shortened_for_one_rule_keeps_every_other(
     assert to_other >= 3.0 + 0.3 + 0.2 + 0.2 - 0.02
 
 
+@pytest.mark.requirement("R6", "P2")
 def test_a_shortened_plan_that_another_rule_forbids_is_not_granted() -> None:
     """The wall leaves 0.7 m. Another drone hovers beside where that ends: the full move is refused for both."""
     blue = ("blue", START.plus(Ned(1.3, 3.6, 0.0)), Ned(0.0, 0.0, 0.0), 0.1, NOW_S)
@@ -264,6 +268,7 @@ def test_a_shortened_plan_that_another_rule_forbids_is_not_granted() -> None:
     assert made.plan is None or made.plan.goal.minus(START.plus(Ned(1.3, 3.6, 0.0))).norm >= 3.7
 
 
+@pytest.mark.requirement("R6")
 def test_a_shortened_plan_stays_in_nobodys_way_that_the_full_one_had_left() -> None:
     """A wall to the right leaves half a metre. Somebody will pass to the left: a metre would be far enough, half is not."""
     passes = sky(("blue", START.plus(Ned(24.0, -3.25, 0.0)), Ned(-4.0, 0.0, 0.0), 0.1, NOW_S))
@@ -292,6 +297,7 @@ def test_a_bare_limit_is_broken_by_the_best_estimate_alone(wall_m: float, actual
     assert any(b.kind == "actual" for b in found.breaches) == actual
 
 
+@pytest.mark.requirement("X6")
 def test_nowhere_is_no_place_to_fly() -> None:
     empty = World(None, Obstacles.none(), None)
     for command in (Command.GO_UP, Command.TURN_LEFT):

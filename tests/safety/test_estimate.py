@@ -28,8 +28,6 @@ from safety.limits import Limits
 from safety.vocabulary import Ned, VehicleState
 from tests.safety.scene import LIMITS, vehicle
 
-pytestmark = pytest.mark.requirement("R8", "X6", "X11")
-
 STILL = Ned(0.0, 0.0, 0.0)
 NOISE = Noise(Ned(0.1, 0.0, 0.0), 0.1, 0.3, 0.5)
 
@@ -61,6 +59,7 @@ def test_of_a_noisy_estimate_the_lesser_counts_and_of_another_the_velocity() -> 
         assert motion.speed_m_s(None) == pytest.approx(said)
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_speed_that_is_not_finite_looks_like_none(bad: float) -> None:
     motion, _ = fly(3.0, STILL, Ned(bad, 0.0, 0.0))
@@ -110,6 +109,7 @@ def test_noise_is_the_spread_and_the_root_mean_squares_of_a_hover() -> None:
     assert spans_s(hover(0.2)) == pytest.approx(7.9) and spans_s(()) == 0.0
 
 
+@pytest.mark.requirement("X11")
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(0.0, 5.0))
 def test_noise_only_ever_widens_and_only_what_it_concerns(place: float, speed: float, said: float, off: float) -> None:
     wider = adapted(LIMITS, Noise(Ned(place, 0.0, 0.0), speed, said, off))

@@ -19,8 +19,6 @@ from safety.vocabulary import Ned, Neighbours, Path, Plan, Primitive, ReservedVo
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, vehicle, wall, world
 from tests.safety.test_constraints import landscape
 
-pytestmark = pytest.mark.requirement("R8", "R9", "R10", "X6", "X11", "X13")
-
 PLAN = plan_translation(Primitive.MOVE_FORWARD, START, 180.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS)
 NORTH = Ned(0.5, 0.0, 0.0)
 STILL = Ned(0.0, 0.0, 0.0)
@@ -48,6 +46,7 @@ def test_all_well() -> None:
     assert seen.separation_m is None
 
 
+@pytest.mark.requirement("R9")
 @pytest.mark.parametrize(("wall_m", "found"), [
     (1.49, {("actual", "obstacle_clearance"), ("predicted", "obstacle_clearance")}), (1.51, set()),
 ])  # fmt: skip
@@ -55,6 +54,7 @@ def test_actual_is_the_bare_limit(wall_m: float, found: set[tuple[str, str]]) ->
     assert kinds(look(near_wall(wall_m))) == found
 
 
+@pytest.mark.requirement("R10", "X11")
 def test_predicted_counts_what_it_takes_to_stop_at_the_measured_speed() -> None:
     reach_m = 1.5 + stopping_m(0.5, LIMITS)
     assert kinds(look(near_wall(reach_m + 0.01, NORTH))) == set()
@@ -62,6 +62,7 @@ def test_predicted_counts_what_it_takes_to_stop_at_the_measured_speed() -> None:
     assert kinds(look(near_wall(reach_m - 0.01, Ned(-0.5, 0.0, 0.0)))) == set(), "it flies away from it"
 
 
+@pytest.mark.requirement("R10", "X11")
 def test_predicted_counts_uncertainty_and_actual_does_not() -> None:
     assert kinds(look(near_wall(1.7, sigma_m=0.2))) == {("predicted", "obstacle_clearance")}
 
@@ -79,6 +80,7 @@ def test_an_unknown_accuracy_is_predicted_not_actual() -> None:
     assert all(b.kind == "predicted" for b in seen.breaches)
 
 
+@pytest.mark.requirement("R10", "X6")
 @pytest.mark.parametrize("about", [
     situation(neighbours=Neighbours.none(NOW_S - 1.5)),
     situation(neighbours=Neighbours.none(-math.inf)),
@@ -87,10 +89,12 @@ def test_a_dead_feed_is_a_predicted_breach(about: Situation) -> None:
     assert kinds(look(about)) == {("predicted", "neighbour_age")}
 
 
+@pytest.mark.requirement("R10", "X6")
 def test_no_terrain_is_a_predicted_breach() -> None:
     assert ("predicted", "terrain_clearance") in kinds(look(situation(world=world(terrain=None))))
 
 
+@pytest.mark.requirement("R9", "R10")
 @pytest.mark.parametrize(("away_m", "velocity_m_s", "found"), [
     (2.9, 0.0, {("actual", "separation"), ("predicted", "separation")}),
     (3.1, 0.0, set()),
@@ -113,6 +117,7 @@ def test_an_aged_neighbour_is_no_actual_violation_by_where_it_could_have_turned(
 # ---------------------------------------------------------------- broken before it began: X13
 
 
+@pytest.mark.requirement("X13")
 def test_what_was_broken_may_only_mend() -> None:
     first = look(near_wall(1.4))
     assert first.negative[("actual", "obstacle_clearance", "wall (0)")] == pytest.approx(-0.1)
@@ -122,6 +127,7 @@ def test_what_was_broken_may_only_mend() -> None:
         assert [b.mending for b in actual] == [mending], wall_m
 
 
+@pytest.mark.requirement("X13")
 def test_a_limit_that_only_uncertainty_broke_must_not_really_break() -> None:
     """The doubtful margin was negative from the start; that does not excuse the bare limit."""
     first = look(near_wall(1.6, sigma_m=0.3))
@@ -133,6 +139,7 @@ def test_a_limit_that_only_uncertainty_broke_must_not_really_break() -> None:
 # ---------------------------------------------------------------- the envelope: R8
 
 
+@pytest.mark.requirement("R8")
 @pytest.mark.parametrize(("speed_m_s", "elapsed_s", "off", "kind"), [
     (0.8, 1.0, Ned(0.5, 0.0, 0.0), None),
     (0.81, 1.0, Ned(0.5, 0.0, 0.0), "actual"),
@@ -150,6 +157,7 @@ def test_speed_duration_and_line(speed_m_s: float, elapsed_s: float, off: Ned, k
     assert found == ([] if kind is None else [kind])
 
 
+@pytest.mark.requirement("R8")
 def test_down_is_bounded_by_its_own_speed() -> None:
     """Paper table I: down at half the speed."""
     plan = plan_translation(Primitive.DESCEND, START, 180.0, Ned(-10.0, 0.0, 0.0), 0.5, LIMITS)
@@ -157,6 +165,7 @@ def test_down_is_bounded_by_its_own_speed() -> None:
     assert kinds(look(situation(), plan=plan, speed_m_s=0.56)) == {("actual", "envelope")}
 
 
+@pytest.mark.requirement("X6")
 def test_a_place_that_is_no_number_aborts() -> None:
     seen = look(replace(situation(), vehicle=vehicle(position=Ned(math.nan, 0.0, 0.0))))
     assert ("predicted", "envelope") in kinds(seen)
@@ -198,6 +207,7 @@ def test_the_recorded_clearance_is_the_same_however_high_it_flies() -> None:
 # ---------------------------------------------------------------- leases of others, and what cannot be: X10, X6
 
 
+@pytest.mark.requirement("R10")
 @pytest.mark.parametrize(("east_m", "seen"), [(2.0, True), (9.0, False)])
 def test_a_lease_of_somebody_else_in_the_way_is_a_breach_before_it_is_entered(east_m: float, seen: bool) -> None:
     """It was granted while this plan was flown: by an authority that did not know, or knows better."""

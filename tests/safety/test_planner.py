@@ -23,8 +23,6 @@ from safety.planner import (
 from safety.vocabulary import Ned, Plan, Primitive
 from tests.safety.scene import LIMITS
 
-pytestmark = pytest.mark.requirement("R2", "R8", "X9", "X11")
-
 OPERATOR = Ned(0.0, 0.0, 0.0)
 DRONE = Ned(12.0, 5.0, -9.0)
 FACING = bearing_deg(DRONE, OPERATOR)
@@ -72,6 +70,7 @@ def test_a_move_never_exceeds_its_bounds(
     assert plan.goal.minus(plan.start).norm == pytest.approx(length_m)
 
 
+@pytest.mark.requirement("R8")
 @settings(max_examples=30)
 @given(st.sampled_from(SCANS), yaws, st.floats(1.0, 360.0))
 def test_a_scan_never_exceeds_its_bounds(primitive: Primitive, yaw_deg: float, left_deg: float) -> None:
@@ -90,10 +89,12 @@ def test_a_scan_is_one_full_rotation_that_ends_facing_the_operator(primitive: Pr
     assert (plan.turn_deg > 0.0) == (primitive is Primitive.SCAN_LEFT), "the nose swings to the operator's left"
 
 
+@pytest.mark.requirement("X9")
 def test_a_scan_from_the_operators_bearing_is_exactly_360() -> None:
     assert plan_scan(Primitive.SCAN_RIGHT, DRONE, FACING, OPERATOR, 360.0, LIMITS).turn_deg == pytest.approx(-360.0)
 
 
+@pytest.mark.requirement("R2")
 @pytest.mark.parametrize(("primitive", "length_m", "speed_m_s"), [
     (Primitive.MOVE_LEFT, 1.0, 0.5), (Primitive.MOVE_RIGHT, 1.0, 0.5), (Primitive.MOVE_FORWARD, 1.0, 0.5),
     (Primitive.MOVE_BACKWARD, 1.0, 0.5), (Primitive.ASCEND, 0.5, 0.5), (Primitive.DESCEND, 0.5, 0.25),
@@ -168,6 +169,7 @@ def test_the_hover_while_the_nose_turns_is_part_of_the_path() -> None:
     assert path.times_s[1] == pytest.approx(plan.move_from_s)
 
 
+@pytest.mark.requirement("X11")
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0))
 def test_stopping_grows_with_speed(slow: float, fast: float) -> None:
     slow, fast = sorted((slow, fast))
@@ -195,6 +197,7 @@ def test_what_is_no_heading_is_no_plan(bad: float) -> None:
             plan()
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_an_unknown_place_is_no_plan_either(bad: float) -> None:
     with pytest.raises(ValueError, match="heading"):

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 
 from safety.vocabulary import Profile
 
-pytestmark = pytest.mark.requirement("R8")
-
 profiles = st.builds(Profile, st.floats(1e-3, 400.0), st.floats(0.05, 50.0), st.floats(0.1, 50.0))
 
 
@@ -25,6 +23,7 @@ def test_it_never_goes_back(profile: Profile, a: float, b: float) -> None:
     assert profile.at(early) <= profile.at(late) + 1e-9 * profile.distance
 
 
+@pytest.mark.requirement("R8")
 @given(profiles)
 def test_ends_and_peak(profile: Profile) -> None:
     assert profile.at(0.0) == profile.at(-1.0) == 0.0
@@ -35,6 +34,7 @@ def test_ends_and_peak(profile: Profile) -> None:
     assert profile.time_at(0.0) == 0.0
 
 
+@pytest.mark.requirement("R8")
 @pytest.mark.parametrize(("distance", "peak", "duration_s"), [
     (0.5, 0.5, 2.0),  # just reaches its speed: a triangle that is also a trapezoid
     (1.0, 0.5, 3.0),

@@ -27,8 +27,6 @@ from safety.vocabulary import Command, Decision, ManeuverRequest, Modality, Ned,
 from safety.volumes import swept_volume, volumes_meet
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, straight, vehicle, wall, world
 
-pytestmark = pytest.mark.requirement("X6", "X13")
-
 OPERATOR_SOUTH = Ned(-10.0, 0.0, 0.0)
 FACING = 180.0
 ACCURATE = {"sigma_h_m": 0.1, "sigma_v_m": 0.1, "yaw_deg": FACING, "healthy": True, "in_air": True}
@@ -46,6 +44,7 @@ def scene(**changes: object) -> Situation:
 # ---------------------------------------------------------------- under the terrain model: F1
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("under_m", [0.5, 3.0, 6.5, 13.0, 30.0, 500.0])
 @pytest.mark.parametrize("command", [Command.GO_DOWN, Command.GO_LEFT, Command.GO_UP, Command.TURN_LEFT])
 def test_farther_under_the_model_than_can_be_explained_nothing_is_flown(under_m: float, command: Command) -> None:
@@ -57,6 +56,7 @@ def test_farther_under_the_model_than_can_be_explained_nothing_is_flown(under_m:
     assert "under the terrain model" in told.text and told.margin is None
 
 
+@pytest.mark.requirement("X13")
 def test_what_can_be_explained_is_left_upwards_only() -> None:
     about = scene(world=world(terrain=Terrain.flat(10.3, 0.1, 0.0)))
     assert ask(Command.GO_UP, about).verdict is Verdict.APPROVED
@@ -65,6 +65,7 @@ def test_what_can_be_explained_is_left_upwards_only() -> None:
         assert (ask(command, about).plan is None) == (command is Command.GO_DOWN)
 
 
+@pytest.mark.requirement("X13")
 @pytest.mark.parametrize("depth_m", [0.2, 3.0, 5.5, 8.0, 40.0])
 def test_no_descent_makes_a_broken_height_worse(depth_m: float) -> None:
     """However far below what is required, over flat ground and over a real grid."""
@@ -113,6 +114,7 @@ def test_what_is_shortened_for_a_wall_still_gets_out_of_the_way(south_m: float, 
 # ---------------------------------------------------------------- outside the fence, inside a building: F9
 
 
+@pytest.mark.requirement("X13")
 @pytest.mark.parametrize("north_m", [20.5, 22.0, 26.0, 30.0, 45.0, 200.0])
 def test_the_way_back_into_the_fence_is_admitted_from_anywhere_and_no_other(north_m: float) -> None:
     fence = Geofence.of(shapely.box(-20.0, -20.0, 20.0, 20.0), -5.0, 100.0, 0.0)
@@ -128,6 +130,7 @@ def test_the_way_back_into_the_fence_is_admitted_from_anywhere_and_no_other(nort
     assert ask(Command.GO_FORWARD, about).plan is None
 
 
+@pytest.mark.requirement("X13")
 @pytest.mark.parametrize("deep_m", [1.0, 5.0, 9.0, 15.0])
 def test_deep_inside_a_building_only_the_nearest_way_out_is_admitted(deep_m: float) -> None:
     """Going north the nearest wall comes nearer, going south it goes away, however far it is."""
@@ -140,6 +143,7 @@ def test_deep_inside_a_building_only_the_nearest_way_out_is_admitted(deep_m: flo
 # ---------------------------------------------------------------- continuous along the path: F10
 
 
+@pytest.mark.requirement("R4")
 @pytest.mark.parametrize("ahead_m", [0.011, 0.02, 0.04, 0.06, 0.09, 0.31, 0.55])
 @pytest.mark.parametrize("thick_m", [0.001, 0.01, 0.05])
 def test_nothing_is_flown_through_a_thin_sheet(ahead_m: float, thick_m: float) -> None:
@@ -161,6 +165,7 @@ def nearest_in_time_m(decision: Decision, place: Ned, velocity: Ned) -> tuple[fl
     return gaps[0], min(gaps)
 
 
+@pytest.mark.requirement("X13")
 @settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from([c for c in Command if c.value.startswith(("go_", "turn_"))]),
@@ -197,6 +202,7 @@ def test_who_flies_through_the_drone_is_worse(far_m: float, speed_m_s: float, co
     assert ask(command, scene(neighbours=sky(blue))).plan is None
 
 
+@pytest.mark.requirement("X13")
 def test_every_neighbour_by_itself_must_not_get_closer() -> None:
     """Away from the one behind, towards the one ahead: one that mends does not excuse the other."""
     behind = ("anna", START.plus(Ned(-3.4, 0.0, 0.0)), Ned(0.0, 0.0, 0.0), 0.1, NOW_S)
@@ -219,6 +225,7 @@ def look(near: tuple[str, float], *others: tuple[str, float], baseline: Baseline
     return watch(about, plan, 0.5, 0.1, baseline or {}, LIMITS)
 
 
+@pytest.mark.requirement("X13")
 def test_one_that_is_already_near_hides_no_second_one() -> None:
     first = look(("anna", -1.0))
     assert all(b.mending for b in look(("anna", -1.0), baseline=first.negative).breaches)
@@ -242,6 +249,7 @@ def test_what_was_gained_may_not_be_lost_again() -> None:
 # ---------------------------------------------------------------- what cannot be true: F4, F12, F13
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("speed_m_s", [20.1, 200.0, 1e3, 1e9, 1e200, math.inf, math.nan])
 def test_a_velocity_that_cannot_be_is_refused_at_once(speed_m_s: float) -> None:
     about = scene(vehicle=replace(vehicle(**ACCURATE), velocity=Ned(speed_m_s, 0.0, 0.0)))
@@ -262,6 +270,7 @@ def test_a_path_has_few_points_however_long_it_is() -> None:
             plan_return(START, FACING, OPERATOR_SOUTH, far, LIMITS)
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("sigma_m", [1e155, 1e200, 1e308, math.inf])
 def test_an_absurd_accuracy_is_a_refusal(sigma_m: float) -> None:
     for name in ("sigma_h_m", "sigma_v_m"):
@@ -270,6 +279,7 @@ def test_an_absurd_accuracy_is_a_refusal(sigma_m: float) -> None:
     assert ask(Command.GO_UP, scene(world=world(terrain=Terrain.flat(0.0, sigma_m, 0.0)))).plan is None
 
 
+@pytest.mark.requirement("X6")
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
 @pytest.mark.parametrize("moving", [Ned(0.0, 0.0, 0.0), Ned(1.0, 2.0, 0.5)])
@@ -303,6 +313,7 @@ def test_a_plan_starts_at_rest(speed_m_s: float, flown: bool) -> None:
 # ---------------------------------------------------------------- leases of others: F11
 
 
+@pytest.mark.requirement("R5", "X10")
 @settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from([c for c in Command if c.value.startswith(("go_", "turn_"))]),

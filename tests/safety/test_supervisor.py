@@ -35,8 +35,6 @@ from safety.vocabulary import (
 )  # fmt: skip
 from tests.safety.scene import LIMITS, NOW_S, START, situation, sky, square_fence, vehicle, wall, world
 
-pytestmark = pytest.mark.requirement("R3", "R4", "R5", "R6", "R7", "R8", "R11", "P2", "P3", "X6", "X13")
-
 MOVES = [Command.GO_LEFT, Command.GO_RIGHT, Command.GO_FORWARD, Command.GO_BACK, Command.GO_UP, Command.GO_DOWN]
 """The scene's operator is 10 m south of the drone, so forward is north."""
 
@@ -72,6 +70,7 @@ def test_in_the_open_everything_is_approved_whole(command: Command) -> None:
     assert decision.requested_m == decision.granted_m == expected
 
 
+@pytest.mark.requirement("R1")
 @pytest.mark.parametrize("command", [c for c in Command if c not in PRIMITIVE_OF])
 def test_what_is_no_maneuver_is_not_interpreted(command: Command) -> None:
     with pytest.raises(KeyError):
@@ -129,6 +128,7 @@ def test_doubtful_input_is_rejected(confidence: float) -> None:
     assert [f.constraint for f in decision.failing] == ["input_confidence"]
 
 
+@pytest.mark.requirement("P2")
 def test_every_failing_rule_is_told() -> None:
     about = facing(
         world=world(obstacles=wall(1.0), geofence=square_fence(0.5)),
@@ -179,6 +179,7 @@ def no_less_safe(decision: Decision) -> None:
             assert f.margin >= margin - 1e-6, f.constraint
 
 
+@pytest.mark.requirement("R4", "P3")
 @settings(max_examples=25)
 @given(st.floats(2.0, 3.6), st.floats(0.0, 0.3))
 def test_reduced_is_the_longest_safe_one_above_the_ground(height_m: float, sigma_m: float) -> None:
@@ -238,6 +239,7 @@ def test_a_tenth_of_a_metre_must_fit(spare_m: float, verdict: Verdict) -> None:
     assert decided(Command.GO_FORWARD, facing(world=world(obstacles=wall(needed_m + spare_m)))).verdict is verdict
 
 
+@pytest.mark.requirement("X9")
 @pytest.mark.parametrize("command", [Command.TURN_LEFT, Command.TURN_RIGHT])
 def test_scans_are_never_shortened(command: Command) -> None:
     coming = sky(("blue", Ned(14.0, 0.0, -10.0), Ned(-2.0, 0.0, 0.0), 0.0, NOW_S))
@@ -246,6 +248,7 @@ def test_scans_are_never_shortened(command: Command) -> None:
     assert decision.requested_m is decision.granted_m is decision.plan is None
 
 
+@pytest.mark.requirement("P3")
 def test_a_shorter_one_keeps_the_direction() -> None:
     decision = decided(Command.GO_FORWARD, facing(world=world(obstacles=wall(3.0))))
     assert decision.verdict is Verdict.REDUCED
@@ -256,6 +259,7 @@ def test_a_shorter_one_keeps_the_direction() -> None:
 # ---------------------------------------------------------------- recovery: X13
 
 
+@pytest.mark.requirement("X13")
 @settings(max_examples=25)
 @given(st.floats(0.1, 1.7), st.sampled_from(MOVES))
 def test_out_of_a_violation_only_by_mending_it(wall_m: float, command: Command) -> None:
@@ -272,6 +276,7 @@ def test_out_of_a_violation_only_by_mending_it(wall_m: float, command: Command) 
     assert all(f.passed for f in decision.granted_findings)
 
 
+@pytest.mark.requirement("X13")
 def test_mending_one_limit_does_not_excuse_another() -> None:
     obstacles = Obstacles.of(
         ["wall", "fence"],
@@ -319,6 +324,7 @@ def test_only_one_passing_hindrance_delays() -> None:
     assert decided(Command.GO_FORWARD, facing(world=world(obstacles=wall(1.9)))).verdict is not Verdict.DELAYED
 
 
+@pytest.mark.requirement("R11")
 @pytest.mark.parametrize(("age_s", "verdict"), [
     (0.9, Verdict.APPROVED), (1.1, Verdict.DELAYED), (3.9, Verdict.DELAYED), (4.1, Verdict.REJECTED),
     (math.inf, Verdict.REJECTED),

@@ -15,8 +15,6 @@ from safety.vocabulary import Ned, Primitive, ReservedVolume
 from safety.volumes import segment_distance_m, swept_volume, volumes_meet
 from tests.safety.scene import LIMITS, START
 
-pytestmark = pytest.mark.requirement("R5", "X10", "X11")
-
 points = st.builds(Ned, *[st.floats(-20.0, 20.0)] * 3)
 
 
@@ -42,7 +40,7 @@ def volume(**changes: object) -> ReservedVolume:
     return replace(ReservedVolume("blue", Ned(0, 0, 0), Ned(10, 0, 0), 2.0, 0.0, 10.0), **changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.requirement("X6")
+@pytest.mark.requirement("X6", "X10")
 @pytest.mark.parametrize(("other", "meet"), [
     ({"start": Ned(5, 3.99, 0), "end": Ned(5, 9, 0)}, True),
     ({"start": Ned(5, 4.0, 0), "end": Ned(5, 9, 0)}, False),
@@ -58,6 +56,7 @@ def test_meeting_in_space_and_time(other: dict[str, object], meet: bool) -> None
     assert volumes_meet(volume(**other), volume()) is meet
 
 
+@pytest.mark.requirement("X10", "X11")
 def test_a_plans_volume_holds_its_swept_path_and_time() -> None:
     plan = plan_translation(Primitive.MOVE_LEFT, START, 180.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS)
     made = swept_volume(plan, "red", 0.2, 50.0, LIMITS)

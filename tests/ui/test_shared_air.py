@@ -14,11 +14,10 @@ from safety.vocabulary import Neighbours
 from tests.ui.console_stage import SMALL, flying_snapshot, hillside
 from ui.console import panels
 
-pytestmark = pytest.mark.requirement("R5", "R11")
-
 NAN = (math.nan, math.nan, math.nan)
 
 
+@pytest.mark.requirement("R5")
 def test_who_is_only_heard_of_is_in_the_snapshot_once() -> None:
     neighbours = Neighbours(
         ("blue", "yellow", "lost"),

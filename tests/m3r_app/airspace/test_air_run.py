@@ -20,7 +20,7 @@ from tests.ui.test_console_run import Terminal
 from tests.warm import Program
 from tests.whole import HILLSIDE, PLAIN, App, Simulated, m3r, simulated
 
-pytestmark = [pytest.mark.xdist_group("air"), pytest.mark.requirement("R5", "R11", "P1", "X3", "X8", "X10")]
+pytestmark = pytest.mark.xdist_group("air")
 
 
 @pytest.fixture
@@ -64,6 +64,7 @@ def written(path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.requirement("R5", "P1", "X3")
 def test_two_operators_fly_side_by_side_and_no_drone_has_two(air: Broker, tmp_path: Path) -> None:
     """Each app knows the other's drone over the broker alone; the second one who wants red is told who holds it."""
     left = written(tmp_path / "left", "0.5 panel go left\n")
@@ -87,6 +88,7 @@ def test_two_operators_fly_side_by_side_and_no_drone_has_two(air: Broker, tmp_pa
         assert "Red: bob asks for it; disconnect to hand it over" in [e["text"] for e in ran.of("announce")]
 
 
+@pytest.mark.requirement("R10", "R11", "X4")
 def test_the_broker_dies_in_flight(air: Broker, tmp_path: Path) -> None:
     """It is said within 2 s, what flies is aborted, moves are refused, STOP is not, and the claim ends honestly, in Hold."""
     script = written(tmp_path / "script", "0.5 panel go left\n3.5 panel go up\n4 panel stop\n9 panel go up\n")
@@ -241,6 +243,7 @@ def said(*words: str) -> str:
     return " ".join(done.stdout.split())
 
 
+@pytest.mark.requirement("R11", "X4")
 @pytest.mark.soak
 def test_the_console_says_within_two_seconds_that_the_broker_is_gone(air: Broker, tmp_path: Path) -> None:
     """And STOP is taken all the same; when the broker is back, so is the air."""

@@ -15,8 +15,6 @@ from m3r_app.airspace.authority import CLAIM_S, CLAIMS_MAX, LEASES_MAX, WANTED_S
 from safety.vocabulary import Ned, ReservedVolume
 from safety.volumes import volumes_meet
 
-pytestmark = pytest.mark.requirement("R5", "P1", "X8", "X10")
-
 NEW = Authority()
 
 
@@ -30,6 +28,7 @@ def claimed(drone: str = "red", operator: str = "alice", inbox: str = "a", now_s
     return a
 
 
+@pytest.mark.requirement("X3")
 def test_a_claim_is_over_exactly_when_it_is_not_renewed() -> None:
     a = claimed()
     assert not authority.claim(a, "red", "bob", "b", None, CLAIM_S - 1e-6)[1].granted
@@ -41,10 +40,12 @@ def test_a_claim_is_over_exactly_when_it_is_not_renewed() -> None:
     assert b.claims["red"].operator == "bob"
 
 
+@pytest.mark.requirement("X3")
 def test_the_same_operator_in_another_app_is_somebody_else() -> None:
     assert authority.claim(claimed(), "red", "alice", "b", None, 1.0)[1].reason == "another app of alice holds it"
 
 
+@pytest.mark.requirement("X3")
 def test_who_was_refused_first_comes_first_for_a_while() -> None:
     a, _ = authority.claim(claimed(), "red", "bob", "b", None, 1.0)
     a, _ = authority.claim(a, "red", "carol", "c", None, 2.0)
@@ -55,6 +56,7 @@ def test_who_was_refused_first_comes_first_for_a_while() -> None:
     assert authority.claim(a, "red", "carol", "c", None, 1.0 + WANTED_S)[1].granted
 
 
+@pytest.mark.requirement("X3", "X10")
 def test_only_the_holder_has_a_say() -> None:
     a = claimed()
     assert not authority.give_up(a, "red", "b", 1.0)[1].granted
@@ -70,18 +72,21 @@ def test_only_the_holder_has_a_say() -> None:
     assert authority.free(a, "red", "a", "x", 1.0)[1].granted, "given back already"
 
 
+@pytest.mark.requirement("X10")
 def test_a_volume_outlives_the_claim_that_ran_out_but_not_the_one_given_up() -> None:
     a, _ = authority.reserve(claimed(), "red", "a", 1, "x", volume(lasts_s=30.0), 0.0)
     assert authority.current(a, CLAIM_S + 1.0).volumes, "the drone may still be in it"
     assert not authority.give_up(a, "red", "a", 1.0)[0].volumes
 
 
+@pytest.mark.requirement("X3")
 def test_nobody_else_gets_in_while_the_authority_was_away() -> None:
     a = authority.resumed(claimed(), 100.0)
     assert not authority.claim(a, "red", "bob", "b", None, 100.0 + CLAIM_S - 1e-6)[1].granted
     assert authority.claim(a, "red", "alice", "a", 1, 100.0 + CLAIM_S - 1e-6)[1].granted
 
 
+@pytest.mark.requirement("X10")
 @pytest.mark.parametrize("bad", [
     {"start": Ned(math.nan, 0, 0)}, {"radius_m": math.inf}, {"until_s": math.inf}, {"until_s": math.nan}, {"from_s": math.nan},
 ])  # fmt: skip

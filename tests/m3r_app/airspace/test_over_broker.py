@@ -28,7 +28,7 @@ from tests.air import HERE, ROOT, App, Broker, Proxy, app, authority, broker, un
 
 SOAK = os.environ.get("M3R_SOAK") == "1"
 RED, BLUE = Ned(0.0, 0.0, -10.0), Ned(30.0, 0.0, -10.0)
-pytestmark = [pytest.mark.xdist_group("air"), pytest.mark.requirement("R5", "R11", "P1", "X8", "X10")]
+pytestmark = pytest.mark.xdist_group("air")
 
 
 @pytest.fixture
@@ -48,6 +48,7 @@ async def reserved(one: App, drone: str, lease: str, north_m: float = 0.0) -> tu
     return await asyncio.wait_for(answered, 2.0)
 
 
+@pytest.mark.requirement("X3")
 async def test_one_drone_has_one_operator_and_is_handed_over_in_order(air: Broker, tmp_path: Path) -> None:
     async with (
         authority(air, tmp_path / "memory"),
@@ -69,6 +70,7 @@ async def test_one_drone_has_one_operator_and_is_handed_over_in_order(air: Broke
         assert await also_bob.claim("red") == "another app of bob holds it"
 
 
+@pytest.mark.requirement("R5")
 async def test_what_one_tells_the_other_sees(air: Broker, tmp_path: Path) -> None:
     async with (
         authority(air, tmp_path / "memory"),
@@ -83,6 +85,7 @@ async def test_what_one_tells_the_other_sees(air: Broker, tmp_path: Path) -> Non
         assert alice.feed_age_s("red") < 0.5
 
 
+@pytest.mark.requirement("X10")
 async def test_air_is_given_to_one_at_a_time(air: Broker, tmp_path: Path) -> None:
     async with (
         authority(air, tmp_path / "memory"),
@@ -132,7 +135,7 @@ async def _settled(claim, drone: str) -> str | None:
     return answer
 
 
-@pytest.mark.requirement("X10")
+@pytest.mark.requirement("X10", "X3")
 async def test_a_partition_is_noticed_and_never_makes_two_holders(air: Broker, tmp_path: Path) -> None:
     """Ours ends before anybody else can have it, though nobody closes a connection. Source: X10."""
     async with (
@@ -208,6 +211,7 @@ async def test_an_authority_starts_in_its_listening_time_and_says_nothing_else(a
     await asyncio.gather(task, return_exceptions=True)
 
 
+@pytest.mark.requirement("X3", "X10")
 async def test_without_an_authority_nothing_is_granted_and_claims_end(air: Broker, tmp_path: Path) -> None:
     async with app(air, "alice", red=RED) as alice:
         async with authority(air, tmp_path / "memory"):
@@ -242,6 +246,7 @@ async def test_a_stolen_client_id_costs_a_moment_and_nothing_else(air: Broker, t
             assert alice.shared.lost("red") is None
 
 
+@pytest.mark.requirement("X6")
 async def test_forged_replayed_and_torn_messages_are_dropped_and_counted(air: Broker, tmp_path: Path) -> None:
     """Even from inside a session that may publish there, and none of it takes anybody out of the sky."""
     async with (
@@ -327,6 +332,7 @@ async def test_who_may_not_publish_notices_it_within_two_seconds(air: Broker, tm
             assert not alice.sees("red", "yellow")
 
 
+@pytest.mark.requirement("R11", "X6")
 @pytest.mark.parametrize(("ahead_s", "sees"), [(3.0, True), (-3.0, True), (60.0, False)])
 async def test_clocks_that_differ(air: Broker, tmp_path: Path, ahead_s: float, sees: bool) -> None:
     """Up to 5 s a state is taken and never thought fresher than it is; beyond, the drone is nowhere, which refuses."""
@@ -437,6 +443,7 @@ async def test_more_than_can_be_read_is_dropped_and_said(
 # ---------------------------------------------------------------- races from two processes
 
 
+@pytest.mark.requirement("X3", "X10")
 @pytest.mark.parametrize("races", [200 if SOAK else 12])
 async def test_of_two_at_the_same_moment_exactly_one_wins(air: Broker, tmp_path: Path, races: int) -> None:
     """One claim and one volume are wanted by two processes at once: 12 times here, 200 with M3R_SOAK=1."""

@@ -19,8 +19,6 @@ from m3r_app.airspace.store import Store
 from safety.vocabulary import Ned, ReservedVolume
 from tests.air import LACKING, MOSQUITTO, ROOT
 
-pytestmark = pytest.mark.requirement("X10")
-
 VOLUME = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 4.0)
 INBOX, OTHER = "a" * 16, "b" * 16
 
@@ -33,6 +31,7 @@ def granted() -> Authority:
     return a
 
 
+@pytest.mark.requirement("X3", "X10")
 def test_after_a_start_everything_holds_for_its_full_time(tmp_path: Path) -> None:
     store = Store(tmp_path / "memory", "field")
     store.save(granted(), EARTH)
@@ -89,6 +88,7 @@ def test_what_is_wrong_with_a_memory_is_one_sentence(tmp_path: Path) -> None:
         Store(path / "below", "field")
 
 
+@pytest.mark.requirement("X10")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_grant_that_cannot_be_kept_is_none(tmp_path: Path) -> None:
     path = tmp_path / "memory"

@@ -42,8 +42,6 @@ from m3r_app.airspace.topics import (
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, ReservedVolume
 
-pytestmark = pytest.mark.requirement("R5", "R11")
-
 STATE = '{"place":{"lat_deg":46.0,"lon_deg":7.0,"amsl_m":580.0},"velocity":{"north_m_s":0,"east_m_s":0.5,"down_m_s":0},"sigma_m":0.3,"age_s":0.02}'
 LONGEST = "a" + "b" * 31
 CELL = "881f8edb2bfffff"
@@ -68,6 +66,7 @@ def test_anything_else_is_no_topic(text: str) -> None:
 places = st.builds(Geodetic, st.floats(-90, 90), st.floats(-180, 180), st.floats(0, 3000))
 
 
+@pytest.mark.requirement("R5")
 @given(places, st.floats(0, 500), st.floats(0, 2 * math.pi))
 def test_whoever_is_within_500_m_is_heard(here: Geodetic, away_m: float, bearing: float) -> None:
     """Anywhere on earth, the date line and the poles too."""
@@ -82,6 +81,7 @@ def test_few_cells_are_told_and_heard(here: Geodetic) -> None:
     assert len(cells_near(here)) in (6, 7)
 
 
+@pytest.mark.requirement("R5")
 @given(places, st.integers(0, 4), st.floats(0, 2 * math.pi))
 def test_a_drone_near_an_edge_is_told_of_beyond_it(here: Geodetic, corner: int, bearing: float) -> None:
     """So that nobody loses it in the moment that it crosses."""
@@ -94,12 +94,14 @@ def test_a_drone_near_an_edge_is_told_of_beyond_it(here: Geodetic, corner: int, 
     assert cell_of(there) in cells_told(here) and cell_of(here) in cells_told(there)
 
 
+@pytest.mark.requirement("R5")
 def test_a_state_is_taken() -> None:
     state = read_body(STATE.encode(), State)
     assert state is not None and state.velocity.ned == Ned(0, 0.5, 0)
     assert read_body(write_body(state), State) == state
 
 
+@pytest.mark.requirement("R11")
 @pytest.mark.parametrize(("old", "new"), [
     ("46.0", "NaN"), ("46.0", "Infinity"), ("46.0", "1e400"), ("46.0", '"46.0"'), ("46.0", "null"), ("46.0", "90.1"),
     ("46.0", "true"), ("7.0", "-180.1"), ("580.0", "20001"), ('"sigma_m":0.3', '"sigma_m":-0.1'), ('"age_s":0.02', '"age_s":-1'),

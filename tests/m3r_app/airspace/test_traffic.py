@@ -16,8 +16,6 @@ from m3r_app.airspace.traffic import DOUBT_S, FORGET_S, SPEED_MAX_M_S, TRANSIT_S
 from safety.frames import LocalFrame
 from safety.vocabulary import Geodetic, Ned, Neighbours
 
-pytestmark = pytest.mark.requirement("R5", "R11", "X6")
-
 HERE = Geodetic(46.679, 7.863, 580.0)
 FRAME = LocalFrame(HERE)
 CELLS = cells_near(HERE)
@@ -46,6 +44,7 @@ class Watched:
         return bool(np.isnan(self.seen(now_s).positions_ned_m).all())
 
 
+@pytest.mark.requirement("R11")
 @given(st.floats(-4.0, 4.0), st.lists(st.floats(0.0, 0.8), min_size=1, max_size=10), st.floats(0.0, 1.0))
 def test_a_state_is_never_thought_fresher_than_clocks_allow(
     ahead_s: float, transits_s: list[float], age_s: float
@@ -59,6 +58,7 @@ def test_a_state_is_never_thought_fresher_than_clocks_allow(
         assert told_age_s >= age_s + transit_s + TRANSIT_S - 1e-9 - 1e-6
 
 
+@pytest.mark.requirement("R11")
 def test_a_clock_behind_makes_it_older_never_younger() -> None:
     sky = Watched()
     sky.heard(100.0, state(), early_s=-2.0)
@@ -72,6 +72,7 @@ def test_what_was_overtaken_changes_nothing() -> None:
     assert sky.seen(100.1).positions_ned_m[0] == pytest.approx(Ned(10, 0, -10), abs=1e-6)
 
 
+@pytest.mark.requirement("R11", "X6")
 @pytest.mark.parametrize(("second", "why"), [
     (state(Ned(40, 0, -10)), "jumped by 30 m"),
     (state(Ned(10, 0, -10), Ned(0, SPEED_MAX_M_S + 1.0, 0)), "says that it flies 61 m/s"),
@@ -87,6 +88,7 @@ def test_what_cannot_be_puts_it_nowhere_for_a_while(second: State, why: str) -> 
     assert not sky.nowhere(104.1)
 
 
+@pytest.mark.requirement("R11")
 def test_two_aircraft_of_one_name_are_nowhere_as_long_as_both_tell() -> None:
     sky = Watched()
     for tenth in range(50):
@@ -113,6 +115,7 @@ def test_of_two_who_tell_of_one_drone_the_fresher_counts() -> None:
     assert 101.95 - sky.seen(101.95).at_s[0] < 0.2 and sky.said == []
 
 
+@pytest.mark.requirement("R11")
 def test_who_flies_away_is_forgotten_and_who_falls_silent_is_not() -> None:
     sky = Watched()
     sky.heard(100.0, state(), "blue")
@@ -128,6 +131,7 @@ def test_who_flies_away_is_forgotten_and_who_falls_silent_is_not() -> None:
     assert "yellow" not in sky.seen(700.0).names and far
 
 
+@pytest.mark.requirement("X6")
 def test_what_is_real_but_unreadable_makes_it_nowhere() -> None:
     sky = Watched()
     sky.sky.doubt("blue", "its messages cannot be read", 100.0)
@@ -137,6 +141,7 @@ def test_what_is_real_but_unreadable_makes_it_nowhere() -> None:
     assert not sky.nowhere(100.0 + DOUBT_S + 0.1)
 
 
+@pytest.mark.requirement("R5")
 def test_a_linked_drone_is_no_neighbour_but_its_double_is() -> None:
     sky = Watched()
     sky.heard(100.0, state(Ned(10, 0, -10)), "red")
@@ -146,6 +151,7 @@ def test_a_linked_drone_is_no_neighbour_but_its_double_is() -> None:
     assert sky.seen(100.0, red=(None, math.inf)).names == ("another red",)
 
 
+@pytest.mark.requirement("X6")
 def test_it_is_bounded_and_whom_it_cannot_keep_is_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TRACKS_MAX", 3)
     sky = Watched()
@@ -156,6 +162,7 @@ def test_it_is_bounded_and_whom_it_cannot_keep_is_nowhere(monkeypatch: pytest.Mo
     assert seen.names[3] == "somebody else (there are too many)" and np.isnan(seen.positions_ned_m[3]).all()
 
 
+@pytest.mark.requirement("R5")
 @given(
     st.lists(
         st.tuples(
