@@ -133,15 +133,6 @@ def test_a_link_too_slow_to_fly_by_is_refused_with_its_rate(tmp_path: Path) -> N
     assert re.search(r" [34]\.\d times a second, 6 are needed", ran.of("pair", status="refused")[0]["reasons"][0])
 
 
-def test_a_gimbal_beside_the_autopilot_changes_nothing(tmp_path: Path) -> None:
-    with changed(
-        tmp_path, ("COM_OBL_RC_ACT = 5 }", 'COM_OBL_RC_ACT = 5 }\n[[vehicles.red.events]]\nkind = "component"')
-    ) as sim:
-        ran = m3r(*flying(sim), stdin="0.2 panel go left\n")
-        assert sim.last("red")["mode"] == "LOITER"
-    assert ran.status == 0 and ran.of("motion", status="completed")
-
-
 def test_a_noisy_estimate_is_learnt_and_flown_with(tmp_path: Path) -> None:
     """The stock noise of PX4's own simulator: of 24 requests none was completed."""
     with changed(tmp_path, ("sigma_v_m = 0.35", 'sigma_v_m = 0.35\nnoise = "px4-sih"')) as sim:

@@ -16,6 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from m3r_app.record.recorder import read_header, read_record
+from modalities.models.catalogue import ModelError, find_hand_model, find_model
 from safety.limits import Limits
 from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
 
@@ -33,16 +34,36 @@ STORY = """\
 """
 
 
+NOBODY = ("--video", "camera:99", "--audio", "mic:nobody")
+GIMBAL = '[[vehicles.red.events]]\nkind = "component"\n'
+
+
+def missing_model() -> str:
+    """What is missing, or empty. Without the models a camera or a microphone that is named is bad input."""
+    try:
+        find_hand_model()
+        find_model()
+    except ModelError as error:
+        return f"no hand model or no voice model: {error}"
+    return ""
+
+
 @pytest.fixture(scope="module")
 def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Simulated, Path]:
-    """One run of a story on flat ground, recorded."""
+    """One run of a story on flat ground, recorded; beside a gimbal, and with a camera and a microphone that are not there."""
     folder = tmp_path_factory.mktemp("story")
+    scenario = folder / "scenario.toml"
+    failsafe = "COM_OBL_RC_ACT = 5 }\n"
+    plain = PLAIN.read_text()
+    assert failsafe in plain
+    scenario.write_text(plain.replace(failsafe, failsafe + GIMBAL, 1))
     script = folder / "story.txt"
     script.write_text(STORY)
     record = folder / "story.mcap"
-    with simulated(PLAIN, folder) as sim:
+    with simulated(scenario, folder) as sim:
         arguments = ["run", "--headless", "--pair", "red", "--script", str(script), "--record", str(record)]
-        ran = m3r(*arguments, *sim.vehicles, "--scenario", str(PLAIN))
+        absent = () if missing_model() else NOBODY
+        ran = m3r(*arguments, *sim.vehicles, "--scenario", str(PLAIN), *absent)
         sim.wait("red", mode="LOITER")
     return ran, sim, record
 
@@ -133,6 +154,27 @@ def test_the_drone_is_left_in_hold(story: tuple[Ran, Simulated, Path]) -> None:
     assert ran.of("pair", status="released")
     assert sim.last("red")["mode"] == "LOITER"
     assert sim.last("red")["armed"]
+
+
+@pytest.mark.requirement("X3", "X6", "X8")
+@pytest.mark.xdist_group("story")
+def test_a_gimbal_beside_the_autopilot_changes_nothing(story: tuple[Ran, Simulated, Path]) -> None:
+    """Its messages were taken for the autopilot's."""
+    ran, sim, _ = story
+    assert ran.status == 0 and ran.of("motion", status="completed")
+    assert sim.last("red")["mode"] == "LOITER"
+
+
+@pytest.mark.xdist_group("story")
+def test_without_the_camera_and_the_microphone_the_rest_flies(story: tuple[Ran, Simulated, Path]) -> None:
+    ran, _, _ = story
+    if why := missing_model():
+        pytest.skip(why)
+    assert ran.status == 0, ran.told
+    texts = [a["text"] for a in ran.of("announce")]
+    assert "hands are off: camera:99 gives no picture: check that it is there and that nothing else uses it" in texts
+    assert any(text.startswith("voice is off: there is no ") for text in texts)
+    assert ran.of("motion", status="completed")
 
 
 @pytest.mark.xdist_group("story")
@@ -232,7 +274,7 @@ def test_a_takeover_ends_the_session_and_is_not_fought(tmp_path: Path) -> None:
     with simulated(PLAIN, tmp_path) as sim:
         app = App(
             flying(sim),
-            stdin="0.2 panel turn right\n4 panel stop\n5 panel go left\n",
+            stdin="0.2 panel turn right\n2.5 panel stop\n3 panel go left\n",
         )
         app.until("motion", status="started")
         other_station_lands(sim.also["red"])
@@ -297,7 +339,7 @@ def test_an_actual_violation_is_told_and_exits_4(tmp_path: Path) -> None:
     scenario.write_text(AIMED)
     ran = m3r(
         "run", "--headless", "--pair", "red", "--script", "-", "--scenario", str(scenario), "--timeout", "40",
-        stdin="12 panel stop\n",
+        stdin="9 panel stop\n",
     )  # fmt: skip
     assert ran.status == 4, ran.told
     violation = ran.of("violation", kind="actual")[0]

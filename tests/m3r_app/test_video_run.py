@@ -162,16 +162,6 @@ def test_a_video_that_breaks_off_is_told_and_the_rest_flies(tmp_path: Path) -> N
     assert ran.told.count("m3r: video file") == 1
 
 
-def test_without_the_camera_and_the_microphone_the_rest_flies() -> None:
-    arguments = ("--video", "camera:99", "--audio", "mic:nobody", "--script", "-")
-    ran = m3r(*RUN, *arguments, stdin="0.5 panel go left\n")
-    assert ran.status == 0, ran.told
-    texts = [a["text"] for a in ran.of("announce")]
-    assert "hands are off: camera:99 gives no picture: check that it is there and that nothing else uses it" in texts
-    assert any(text.startswith("voice is off: there is no ") for text in texts)
-    assert ran.of("motion", status="completed")
-
-
 @pytest.mark.parametrize("kind", ["missing", "text", "no model"])
 def test_what_cannot_be_watched_is_exit_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     video = tmp_path / "hands.mp4"
