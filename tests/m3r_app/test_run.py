@@ -49,9 +49,23 @@ def missing_model() -> str:
 
 
 @pytest.fixture(scope="module")
-def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ran, Simulated, Path]:
+def stories() -> list[tuple[Ran, Simulated, Path]]:
+    """The stories flown so far."""
+    return []
+
+
+@pytest.fixture
+def story(
+    stories: list[tuple[Ran, Simulated, Path]], request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Ran, Simulated, Path]:
+    """The story, flown once for all its tests; and anew for one of them that is tried again."""
+    if not stories or getattr(request.node, "execution_count", 1) > 1:
+        stories.append(fly_the_story(tmp_path_factory.mktemp("story")))
+    return stories[-1]
+
+
+def fly_the_story(folder: Path) -> tuple[Ran, Simulated, Path]:
     """One run of a story on flat ground, recorded; beside a gimbal, and with a camera and a microphone that are not there."""
-    folder = tmp_path_factory.mktemp("story")
     scenario = folder / "scenario.toml"
     failsafe = "COM_OBL_RC_ACT = 5 }\n"
     plain = PLAIN.read_text()
