@@ -36,7 +36,9 @@ def _sdl() -> Any:
     """The very library that pygame loads."""
     os.environ.update(SDL)
     importlib.import_module("pygame")
-    loaded = {line.split(maxsplit=5)[5] for line in Path("/proc/self/maps").read_text().splitlines() if "libSDL2-" in line}
+    loaded = {
+        line.split(maxsplit=5)[5] for line in Path("/proc/self/maps").read_text().splitlines() if "libSDL2-" in line
+    }
     (path,) = loaded
     sdl = ctypes.CDLL(path)
     sdl.SDL_JoystickOpen.restype = ctypes.c_void_p
