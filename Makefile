@@ -54,7 +54,7 @@ demo: setup
 	fi
 
 test: models
-	@$(BIN)/python -m pytest -n 5 --dist loadgroup
+	@$(BIN)/python -m pytest -n 6 --dist loadgroup
 
 # The pure core alone: what its own tests do not reach is named, with its reason, where it stands.
 coverage: setup
