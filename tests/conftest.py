@@ -40,6 +40,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Tests that fly, listen and watch in real time may be held up by whatever else the machine does, for longer than an operator
     would accept of it: one that fails is tried again, and the summary names it. Pure tests never are.
     """
+    # What one process passes in a row, and what flies for long, begins first, so that nobody waits for it at the end.
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None and not item.path.stem.endswith("_run"))
     for item in items:
         if not any(item.path.is_relative_to(TESTS / room) for room in PURE):
             item.add_marker(pytest.mark.flaky(reruns=AGAIN))
