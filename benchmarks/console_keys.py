@@ -27,8 +27,10 @@ from textual.app import App, ComposeResult
 from textual.widgets import Label
 
 from m3r_app.options import RunOptions
+from m3r_app.output import RequestEvent, Told
 from m3r_app.record.recorder import read_record
 from m3r_app.run_thread import Live
+from safety.vocabulary import Modality
 from ui.console.app import Console
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -96,11 +98,11 @@ async def bare() -> list[float]:
 
 async def console(folder: Path) -> tuple[list[float], float]:
     arrived: list[float] = []
-    shown: deque[Any] = deque(maxlen=2000)
+    shown: deque[Told] = deque(maxlen=2000)
 
-    def emit(event: Any) -> None:
-        shown.append(event)
-        if event["event"] == "request" and event["modality"] == "panel":
+    def emit(told: Told) -> None:
+        shown.append(told)
+        if isinstance(told.event, RequestEvent) and told.event.modality is Modality.PANEL:
             arrived.append(time.monotonic())
 
     record = folder / "flight.mcap"
