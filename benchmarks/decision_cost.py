@@ -203,7 +203,7 @@ class OffTheShelf:
         until_s = max(arrives_s, LIMITS.horizon_s)
         reach_m = math.dist(start, end)
         neighbours = here.neighbours
-        own_m = LIMITS.separation_m + error_m(here.vehicle.sigma_m, LIMITS) + path.slack_m
+        own_m = LIMITS.separation_m + error_m(here.vehicle.sigma_m, LIMITS) + path.along_track_tolerance_m
         lowest = math.inf
         for position, velocity, sigma_m, at_s in zip(
             neighbours.positions_ned_m, neighbours.velocities_ned_m_s, neighbours.sigmas_m, neighbours.at_s, strict=True

@@ -133,6 +133,6 @@ def nearby(
         situation,
         world=near_as_before(world, centre, reach_m, half),
         neighbours=others.neighbours_that_matter(
-            situation, path.points_ned_m[0], travel_m, path.slack_m, until_s, limits
+            situation, path.points_ned_m[0], travel_m, path.along_track_tolerance_m, until_s, limits
         ),
     )

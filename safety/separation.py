@@ -32,7 +32,7 @@ def separation(path: Path, situation: Situation, limits: Limits) -> Finding:
     if not len(neighbours):
         return SEPARATION.finding(None, "m", True, "no other aircraft")
     now, velocities, required = _sky(situation, limits)
-    required = required + path.slack_m
+    required = required + path.along_track_tolerance_m
     known = np.isfinite(now.sum(axis=0) + velocities.sum(axis=0) + required + path.points_ned_m.sum())
     if not known.all():
         text = (
@@ -73,14 +73,14 @@ def _never_closer(path: Path, now: Floats, velocities: Floats, limits: Limits) -
     """(k,) whether each neighbour, continuously in time, never gets nearer than it has been, but for DIP_M. Source: X13.
 
     It must hold wherever the drone may be along its path: where the time says, later by the vehicle's lag, or as far ahead
-    as slack_m. now, velocities: (3, k) of the neighbours.
+    as along_track_tolerance_m. now, velocities: (3, k) of the neighbours.
     """
     points, times = path.points_ned_m, path.times_s
     end_s = max(float(times[-1]), limits.horizon_s)
     covered = np.concatenate(([0.0], np.cumsum(gaps_m(path))))
     total_m = float(covered[-1])
     way = (points[-1] - points[0]) / total_m if total_m > 0.0 else np.zeros(3)
-    ahead = points[0] + np.minimum(covered + path.slack_m, total_m)[:, None] * way
+    ahead = points[0] + np.minimum(covered + path.along_track_tolerance_m, total_m)[:, None] * way
     tracks = (
         (points, times),
         (np.concatenate((points[:1], points)), np.concatenate(([0.0], times + limits.lag_s))),
@@ -147,7 +147,9 @@ def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
         ages = np.abs(situation.now_s - neighbours.at_s)
         silent = ~(ages <= limit_s)
         if silent.any():
-            near = silent & ~(_could_be_m(path.points_ned_m, neighbours, ages, situation, limits) > path.slack_m)
+            near = silent & ~(
+                _could_be_m(path.points_ned_m, neighbours, ages, situation, limits) > path.along_track_tolerance_m
+            )
             if near.any():
                 k = int(np.flatnonzero(near)[np.argmax(ages[near])])
                 age_s, who = float(ages[k]), neighbours.names[k]
@@ -161,7 +163,7 @@ def neighbour_age(path: Path, situation: Situation, limits: Limits) -> Finding:
 
 
 def neighbours_that_matter(
-    situation: Situation, start: Floats, travel_m: float, slack_m: float, until_s: float, limits: Limits
+    situation: Situation, start: Floats, travel_m: float, along_track_tolerance_m: float, until_s: float, limits: Limits
 ) -> Neighbours:
     """Without those that cannot change any finding on a path that stays within travel_m of start and ends by until_s.
 
@@ -172,7 +174,7 @@ def neighbours_that_matter(
         return neighbours
     ages = situation.now_s - neighbours.at_s
     velocities = neighbours.velocities_ned_m_s
-    required = _required_m(neighbours, ages, situation, limits) + slack_m
+    required = _required_m(neighbours, ages, situation, limits) + along_track_tolerance_m
     if not np.isfinite(neighbours.positions_ned_m.sum() + velocities.sum() + required.sum()):
         # Nobody can be left out: the rules will say what is missing.
         return neighbours
@@ -186,7 +188,7 @@ def neighbours_that_matter(
     silent = ~(np.abs(ages) <= limits.neighbour_age_s)
     if silent.any():
         could_be = _could_be_m(start[None, :], neighbours, np.abs(ages), situation, limits)
-        keep |= silent & ~(could_be > travel_m + slack_m)
+        keep |= silent & ~(could_be > travel_m + along_track_tolerance_m)
     which = np.flatnonzero(keep)
     return Neighbours(
         tuple(neighbours.names[i] for i in which.tolist()),
@@ -239,7 +241,7 @@ def _one_reservation(
     limits: Limits,
 ) -> Finding:
     half_m = 0.5 * limits.separation_m if len(path.times_s) > 1 else 0.0
-    own_m = error_m(situation.vehicle.sigma_m, limits) + path.slack_m + half_m
+    own_m = error_m(situation.vehicle.sigma_m, limits) + path.along_track_tolerance_m + half_m
     margins = _from_capsule(path.points_ned_m, volume) - own_m
     stretches = between(margins, gaps_m(path))
     who = volume.holder.replace("{", "{{").replace("}", "}}")

@@ -255,13 +255,13 @@ class Path:
     """What a plan sweeps: the polyline that the rules are checked on, with the time at each point.
 
     points_ned_m: (n, 3), n >= 1; times_s: (n,) since the plan's start, rising; stopping distance included.
-    slack_m: how far along it the vehicle may be from where the time says (lag, coasting).
+    along_track_tolerance_m: how far along it the vehicle may be from where the time says (lag, coasting).
     until_s: for how long after the plan's start airspace is reserved for it, should it be longer than its times.
     """
 
     points_ned_m: Floats
     times_s: Floats
-    slack_m: float = 0.0
+    along_track_tolerance_m: float = 0.0
     until_s: float = 0.0
 
 

@@ -30,6 +30,10 @@ PURE = (
     "m3r_app/test_out_there.py",
     "m3r_app/test_modes.py",
     "m3r_app/test_fusion.py",
+    "m3r_app/test_arbiter_corners.py",
+    "m3r_app/test_ground_work.py",
+    "m3r_app/test_hillside.py",
+    "test_flights.py",
 )
 AGAIN = 2
 

@@ -70,10 +70,16 @@ def situation(**changes: Any) -> Situation:
     return replace(start, **changes)
 
 
-def straight(end: Ned, start: Ned = START, duration_s: float = 2.0, n: int = 11, slack_m: float = 0.0) -> Path:
+def straight(
+    end: Ned, start: Ned = START, duration_s: float = 2.0, n: int = 11, along_track_tolerance_m: float = 0.0
+) -> Path:
     """At constant speed from start to end."""
     share = np.linspace(0.0, 1.0, n)
-    return Path(np.asarray(start) + share[:, None] * (np.asarray(end) - np.asarray(start)), share * duration_s, slack_m)
+    return Path(
+        np.asarray(start) + share[:, None] * (np.asarray(end) - np.asarray(start)),
+        share * duration_s,
+        along_track_tolerance_m,
+    )
 
 
 def hover(at: Ned = START, duration_s: float = 2.0) -> Path:

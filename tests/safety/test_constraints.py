@@ -129,7 +129,7 @@ def test_cutting_the_world_down_changes_no_decision(seed: int, primitive: Primit
     full = swept(plan_translation(primitive, scene.vehicle.position, 0.0, Ned(-10.0, 0.0, 0.0), 1.0, LIMITS), LIMITS)
     near = nearby(scene, full, LIMITS)
     half = len(full.times_s) // 2
-    for path in (full, Path(full.points_ned_m[:half], full.times_s[:half], full.slack_m)):
+    for path in (full, Path(full.points_ned_m[:half], full.times_s[:half], full.along_track_tolerance_m)):
         whole, cut = judged(path, scene), judged(path, near)
         for name in NAMES:
             a, b = whole[name], cut[name]

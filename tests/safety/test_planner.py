@@ -157,7 +157,7 @@ def test_the_swept_path_is_whole() -> None:
     assert reach_m == pytest.approx(plan.length_m + stopping_m(plan.move.peak, LIMITS))
     assert np.linalg.norm(np.diff(path.points_ned_m, axis=0), axis=1).max() <= 0.1 + 1e-9
     assert (np.diff(path.times_s) >= 0.0).all()
-    assert path.slack_m == plan.stop_m
+    assert path.along_track_tolerance_m == plan.stop_m
 
 
 def test_the_hover_while_the_nose_turns_is_part_of_the_path() -> None:

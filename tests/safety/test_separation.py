@@ -27,8 +27,8 @@ def at(north: float, east: float = 0.0, up: float = 0.0) -> Ned:
     return START.plus(Ned(north, east, -up))
 
 
-def north(length_m: float = 1.0, slack_m: float = 0.0) -> Path:
-    return straight(at(length_m), slack_m=slack_m)
+def north(length_m: float = 1.0, along_track_tolerance_m: float = 0.0) -> Path:
+    return straight(at(length_m), along_track_tolerance_m=along_track_tolerance_m)
 
 
 def random_sky(seed: int, count: int, wide_m: float = 30.0) -> Neighbours:
@@ -54,7 +54,7 @@ def sampled_margin(path: Path, scene: Situation) -> float:
         theirs = neighbours.positions_ned_m[i] + (age_s + times)[:, None] * velocity
         speed = float(np.linalg.norm(velocity))
         required = (
-            LIMITS.separation_m + LIMITS.tracking_m + path.slack_m
+            LIMITS.separation_m + LIMITS.tracking_m + path.along_track_tolerance_m
             + LIMITS.sigma_k * (scene.vehicle.sigma_m + neighbours.sigmas_m[i])
             + speed * age_s + 0.5 * LIMITS.neighbour_acceleration_m_s2 * age_s**2
         )  # fmt: skip
@@ -64,9 +64,9 @@ def sampled_margin(path: Path, scene: Situation) -> float:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 100_000), st.integers(1, 5), st.floats(0.0, 0.5))
-def test_closest_approach_is_that_of_a_dense_sampling(seed: int, count: int, slack_m: float) -> None:
+def test_closest_approach_is_that_of_a_dense_sampling(seed: int, count: int, along_track_tolerance_m: float) -> None:
     scene = situation(neighbours=random_sky(seed, count), vehicle=vehicle(sigma_h_m=0.2, sigma_v_m=0.1))
-    path = straight(at(1.0, 0.3), slack_m=slack_m)
+    path = straight(at(1.0, 0.3), along_track_tolerance_m=along_track_tolerance_m)
     assert number(separation(path, scene, LIMITS)) == pytest.approx(sampled_margin(path, scene), abs=0.01)
 
 
@@ -93,7 +93,7 @@ def test_what_adds_to_the_required_distance(offset: float) -> None:
     # It flies sideways, so by now it is beside where it was; its closest is now.
     green = ("green", at(1.0 + required + offset, -2.0 * age_s - 2.0 * 2.0), Ned(0.0, 2.0, 0.0), 0.1, NOW_S - age_s)
     scene = situation(vehicle=vehicle(sigma_h_m=0.5, sigma_v_m=0.2), neighbours=sky(green))
-    found = separation(north(slack_m=0.25), scene, LIMITS)
+    found = separation(north(along_track_tolerance_m=0.25), scene, LIMITS)
     assert number(found) == pytest.approx(offset, abs=1e-9)
 
 
@@ -271,7 +271,7 @@ def test_a_reserved_volume_keeps_its_distance(offset: float) -> None:
     required = 1.0 + LIMITS.tracking_m + 2.0 * 0.25 + 0.2 + 0.5 * LIMITS.separation_m
     ahead = volume(at(1.0 + required + offset, -5.0), at(1.0 + required + offset, 5.0))
     scene = situation(vehicle=vehicle(sigma_h_m=0.25, sigma_v_m=0.1), reservations=(ahead,))
-    found = reservation(north(slack_m=0.2), scene, LIMITS)
+    found = reservation(north(along_track_tolerance_m=0.2), scene, LIMITS)
     assert number(found) == pytest.approx(offset, abs=1e-9)
     assert found.passed == (offset >= 0.0)
     assert "green" in found.text
