@@ -51,6 +51,7 @@ STEP_M = 0.01
 @contextlib.contextmanager
 def broker() -> Iterator[tuple[str, Path]]:
     """Its address and the folder of credentials."""
+    assert MOSQUITTO is not None
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

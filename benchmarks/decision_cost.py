@@ -175,18 +175,21 @@ class OffTheShelf:
         return self.fcl.CollisionObject(self.fcl.Capsule(1e-4, length), self.fcl.Transform(turn, (start + end) / 2.0))
 
     def terrain(self, path: Path, here: Situation) -> float:
+        assert here.world.terrain is not None
         sigma_m = here.world.terrain.sigma_m
         required_m = LIMITS.clearance_m + error_m(here.vehicle.sigma_m, LIMITS) + LIMITS.sigma_k * sigma_m
-        return self.fcl.distance(self.capsule(path.points_ned_m[0], path.points_ned_m[-1]), self.ground) - required_m
+        gap_m = self.fcl.distance(self.capsule(path.points_ned_m[0], path.points_ned_m[-1]), self.ground)
+        return float(gap_m) - required_m
 
     def agl(self, path: Path, here: Situation) -> float:
+        assert here.world.terrain is not None
         wrong_m = error_m(here.vehicle.sigma_m, LIMITS) + LIMITS.sigma_k * here.world.terrain.sigma_m
         return float(here.world.terrain.agl_m(path.points_ned_m).min()) - LIMITS.min_agl_m - wrong_m
 
     def obstacles(self, path: Path, here: Situation) -> float:
         stretch = self.capsule(path.points_ned_m[0], path.points_ned_m[-1])
         nearest = min(self.fcl.distance(stretch, prism) for prism in self.prisms)
-        return nearest - LIMITS.obstacle_clearance_m - error_m(here.vehicle.sigma_m, LIMITS)
+        return float(nearest) - LIMITS.obstacle_clearance_m - error_m(here.vehicle.sigma_m, LIMITS)
 
     def geofence(self, path: Path, here: Situation) -> float:
         line = shapely.linestrings(path.points_ned_m[[0, -1], :2])
@@ -194,6 +197,7 @@ class OffTheShelf:
         side = side if shapely.contains_properly(self.fence, line) else -side
         up = -path.points_ned_m[:, 2]
         fence = here.world.geofence
+        assert fence is not None and fence.floor_amsl_m is not None and fence.ceiling_amsl_m is not None
         upright = min(float(up.min()) - fence.floor_amsl_m, fence.ceiling_amsl_m - float(up.max()))
         return min(side - error_m(here.vehicle.sigma_h_m, LIMITS), upright - error_m(here.vehicle.sigma_v_m, LIMITS))
 

@@ -26,7 +26,7 @@ from rich.table import Table
 from modalities.models.catalogue import ModelError, find_model
 from modalities.outcomes import percentile_ms
 from modalities.voice.audio import SAMPLE_RATE_HZ, AudioError, Samples, chunks, quiet, read_audio
-from modalities.voice.decoder import UNKNOWN_WORD, Recognizer, load_model
+from modalities.voice.decoder import UNKNOWN_WORD, Heard, Recognizer, load_model
 from modalities.voice.evaluation import PADDING_S, hear
 from modalities.voice.phrases import PhraseTable
 from modalities.voice.vad import VoiceActivityDetector
@@ -77,6 +77,7 @@ def our_request(
     """The first request that counts, likewise."""
     for answer in hear(samples, Recognizer(model, table)):
         if answer.heard.command is Command.STOP or answer.heard.confidence >= threshold:
+            assert isinstance(answer.heard, Heard)
             return answer.heard.command, answer.heard.captured_at_s + answer.latency_s
     return None
 

@@ -96,6 +96,7 @@ def _parser(runs: Mapping[str, Run]) -> Parser:
     _add_evaluate(commands)
     _add_report(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram")
+    _add_requirements(commands)
     for name, command in commands.choices.items():
         command.set_defaults(run=runs[name])
     return parser
@@ -280,3 +281,10 @@ def _add_report(commands: Any) -> None:
     report = _add(commands, "report", "tell a recorded flight on one page (HTML)")
     report.add_argument("record", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
     report.add_argument("--out", type=_typed(parse_file), metavar="PAGE", help="the page (FILE with .html)")
+
+
+def _add_requirements(commands: Any) -> None:
+    parser = _add(commands, "requirements", "print the requirements for FRET, StrictDoc or people")
+    parser.add_argument(
+        "--format", choices=("fretish", "strictdoc", "markdown"), default="markdown", help="default: markdown"
+    )

@@ -251,6 +251,13 @@ def _run_modes(_options: argparse.Namespace) -> int:
     return ExitStatus.ENDED
 
 
+def _run_requirements(options: argparse.Namespace) -> int:
+    from ui.requirements import FORMATS
+
+    print(FORMATS[options.format]())
+    return ExitStatus.ENDED
+
+
 RUNS: dict[str, Callable[[argparse.Namespace], int]] = {
     "": _run_nothing,
     "console": _run_console,
@@ -264,6 +271,7 @@ RUNS: dict[str, Callable[[argparse.Namespace], int]] = {
     "evaluate": _run_evaluate,
     "report": _run_report,
     "modes": _run_modes,
+    "requirements": _run_requirements,
 }
 """What each command starts; the empty one is `m3r` alone."""
 

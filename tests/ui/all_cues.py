@@ -19,7 +19,13 @@ SUBJECTS = ("", "the wall", "blue", "the bus stop", "go left")
 
 
 def finding(constraint: str, subject: str = "", margin: float | None = -0.3, **fields: object) -> dict[str, Any]:
-    found = {"constraint": constraint, "margin": margin, "text": "a sentence", "requirements": [], "subject": subject}
+    found: dict[str, Any] = {
+        "constraint": constraint,
+        "margin": margin,
+        "text": "a sentence",
+        "requirements": [],
+        "subject": subject,
+    }
     return {**found, **fields}
 
 
@@ -48,18 +54,18 @@ def all_events() -> Iterator[list[Told]]:
     """Events that follow a pairing, each list from the same beginning."""
     for command, modality in itertools.product(Command, Modality):
         yield [request(command.value, modality.value)]
-    for command, verdict, constraint in itertools.product(MOVES, Verdict, CONSTRAINTS):
+    for move, verdict, constraint in itertools.product(MOVES, Verdict, CONSTRAINTS):
         for margin, subject in itertools.product((None, -0.3), SUBJECTS):
             found = finding(constraint, subject, margin)
-            yield [request(command), decision(verdict.value, found, granted_m=0.4)]
+            yield [request(move), decision(verdict.value, found, granted_m=0.4)]
     for modality in Modality:
         yield [request("go_left", modality.value), decision("rejected", finding("input_confidence"))]
     for requirement in ("X3", "X4", "X5", "X12", "X14"):
         yield [request("go_left"), decision("rejected", finding("contradiction", requirements=[requirement]))]
-    for command, centimetres in itertools.product(("go_up", "turn_left", "continue"), range(0, 520, 7)):
-        yield [request(command), decision("approved", granted_m=centimetres / 100)]
-    for command in MOVES:
-        yield [request(command), told("motion", 2.0)]
+    for asked, centimetres in itertools.product(("go_up", "turn_left", "continue"), range(0, 520, 7)):
+        yield [request(asked), decision("approved", granted_m=centimetres / 100)]
+    for move in MOVES:
+        yield [request(move), told("motion", 2.0)]
     yield [told("motion", 2.0, request="return")]
     for (state, cause), to in TRANSITIONS.items():
         yield [told("mode", 2.0, mode=MODE_OF[to], previous=MODE_OF[state], state=to, cause=cause)]
