@@ -65,6 +65,7 @@ coverage: setup
 
 soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600
+	@$(BIN)/python scripts/soak_page.py
 
 trace: setup
 	@$(BIN)/python -m tests.trace

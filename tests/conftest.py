@@ -34,6 +34,8 @@ PURE = (
     "m3r_app/test_ground_work.py",
     "m3r_app/test_hillside.py",
     "test_flights.py",
+    "soak/test_takeover.py",
+    "soak/test_air_messages.py",
 )
 AGAIN = 2
 
