@@ -33,6 +33,7 @@ PURE = (
     "m3r_app/test_arbiter_corners.py",
     "m3r_app/test_ground_work.py",
     "m3r_app/test_hillside.py",
+    "formal",
     "test_flights.py",
     "soak/test_takeover.py",
     "soak/test_air_messages.py",
