@@ -34,6 +34,7 @@ PURE = (
     "m3r_app/test_ground_work.py",
     "m3r_app/test_hillside.py",
     "formal",
+    "m3r_app/evidence",
     "test_flights.py",
     "soak/test_takeover.py",
     "soak/test_air_messages.py",

@@ -95,6 +95,7 @@ def _parser(runs: Mapping[str, Run]) -> Parser:
     _add_models(commands)
     _add_evaluate(commands)
     _add_report(commands)
+    _add_verify(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram")
     _add_requirements(commands)
     for name, command in commands.choices.items():
@@ -281,6 +282,12 @@ def _add_report(commands: Any) -> None:
     report = _add(commands, "report", "tell a recorded flight on one page (HTML)")
     report.add_argument("record", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
     report.add_argument("--out", type=_typed(parse_file), metavar="PAGE", help="the page (FILE with .html)")
+
+
+def _add_verify(commands: Any) -> None:
+    verify = _add(commands, "verify", "judge recorded flights without the code that flew them")
+    verify.add_argument("record", nargs="+", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
+    verify.add_argument("--json", action="store_true", help="print one JSON array: every limit of every plan")
 
 
 def _add_requirements(commands: Any) -> None:

@@ -244,6 +244,12 @@ def _run_report(options: argparse.Namespace) -> int:
     return ExitStatus.ENDED
 
 
+def _run_verify(options: argparse.Namespace) -> int:
+    from ui.verify import verify
+
+    return verify(options.record, as_json=options.json)
+
+
 def _run_modes(_options: argparse.Namespace) -> int:
     from m3r_app.arbiter.modes import mermaid
 
@@ -270,6 +276,7 @@ RUNS: dict[str, Callable[[argparse.Namespace], int]] = {
     "models": _run_models,
     "evaluate": _run_evaluate,
     "report": _run_report,
+    "verify": _run_verify,
     "modes": _run_modes,
     "requirements": _run_requirements,
 }

@@ -1,0 +1,98 @@
+"""`m3r verify`: flights judged from their records, without the code that flew them, as a table or as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+from m3r_app.evidence.judge import judge
+from m3r_app.evidence.reading import EvidenceError, flight_of
+from m3r_app.evidence.verdict import Judgement, Line
+from m3r_app.exit_status import ExitStatus
+from m3r_app.record.recorder import RecordError, read_header, read_record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+COLUMNS = ("judged", "limit", "lines", "worst", "about", "at", "")
+DECIMALS = 4
+
+
+def verify(records: Sequence[Path], *, as_json: bool) -> int:
+    """Judge them all and print what is found; returns the exit status: 0, or 4 where something does not hold.
+
+    Raises RecordError where a file is no flight record.
+    """
+    judged = [(record, judge_record(record)) for record in records]
+    if as_json:
+        print(json.dumps([_object(record, judgement) for record, judgement in judged], allow_nan=False, indent=1))
+    else:
+        for record, judgement in judged:
+            print("\n".join(table(record.name, judgement)))
+    return ExitStatus.ENDED if all(judgement.passed for _, judgement in judged) else ExitStatus.VIOLATED
+
+
+def judge_record(record: Path) -> Judgement:
+    """One flight's judgement. Raises RecordError."""
+    if not record.is_file():
+        raise RecordError(f"{record} is no file: name a flight record")
+    header = read_header(record)
+    try:
+        return judge(flight_of(header.metadata, read_record(record), closed=header.complete))
+    except EvidenceError as error:
+        raise RecordError(f"{record} cannot be judged: {error}") from None
+
+
+def table(name: str, judgement: Judgement) -> list[str]:
+    """The lines of a terminal: of each limit the worst, then every one that fails."""
+    rows = [COLUMNS]
+    for worst, count, failing in judgement.worst():
+        verdict = f"FAILS {failing}x" if failing else "holds"
+        rows.append((worst.part, worst.limit, str(count), _margin(worst), worst.subject, _time(worst), verdict))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines += [
+        f"FAILS: {line.part} {line.limit}{f' of {line.subject}' if line.subject else ''}"
+        f"{f' at {_time(line)}' if line.at_s is not None else ''}: {' '.join(filter(None, (_margin(line), line.note)))}"
+        for line in judgement.failing
+    ]
+    verdict = "everything holds" if judgement.passed else f"{len(judgement.failing)} do not hold"
+    counts = f"{judgement.plans} plans, {judgement.samples} samples, {judgement.requests} requests"
+    return [f"{name}: {counts}: {verdict}", *lines]
+
+
+def _margin(line: Line) -> str:
+    return f"{line.margin:+.2f} {line.unit}".rstrip() if line.margin is not None else ""
+
+
+def _time(line: Line) -> str:
+    return f"{line.at_s:.2f} s" if line.at_s is not None else ""
+
+
+def _object(record: Path, judgement: Judgement) -> dict[str, Any]:
+    return {
+        "file": record.name,
+        "passed": judgement.passed,
+        "plans": judgement.plans,
+        "samples": judgement.samples,
+        "requests": judgement.requests,
+        "lines": [
+            {
+                "part": line.part,
+                "limit": line.limit,
+                "subject": line.subject,
+                "margin": _number(line.margin),
+                "unit": line.unit,
+                "passed": line.passed,
+                "at_s": _number(line.at_s),
+                "note": line.note,
+            }
+            for line in judgement.lines
+        ],
+    }
+
+
+def _number(value: float | None) -> float | None:
+    return round(value, DECIMALS) + 0.0 if value is not None and math.isfinite(value) else None
