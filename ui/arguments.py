@@ -288,6 +288,7 @@ def _add_verify(commands: Any) -> None:
     verify = _add(commands, "verify", "judge recorded flights without the code that flew them")
     verify.add_argument("record", nargs="+", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
     verify.add_argument("--json", action="store_true", help="print one JSON array: every limit of every plan")
+    verify.add_argument("--ulog", type=_typed(parse_file), metavar="LOG", help="PX4's log of the same flight (ULog)")
 
 
 def _add_requirements(commands: Any) -> None:

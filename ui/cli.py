@@ -247,7 +247,7 @@ def _run_report(options: argparse.Namespace) -> int:
 def _run_verify(options: argparse.Namespace) -> int:
     from ui.verify import verify
 
-    return verify(options.record, as_json=options.json)
+    return verify(options.record, options.ulog, as_json=options.json)
 
 
 def _run_modes(_options: argparse.Namespace) -> int:

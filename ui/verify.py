@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.evidence.judge import judge
@@ -20,12 +21,19 @@ COLUMNS = ("judged", "limit", "lines", "worst", "about", "at", "")
 DECIMALS = 4
 
 
-def verify(records: Sequence[Path], *, as_json: bool) -> int:
+class VerifyError(ValueError):
+    """What was asked for cannot be done; one sentence."""
+
+
+def verify(records: Sequence[Path], ulog: Path | None, *, as_json: bool) -> int:
     """Judge them all and print what is found; returns the exit status: 0, or 4 where something does not hold.
 
-    Raises RecordError where a file is no flight record.
+    ulog: the autopilot's log of the one flight. Raises RecordError where a file is no flight record, ULogError where that is
+    no log, VerifyError where it is given for several flights.
     """
-    judged = [(record, judge_record(record)) for record in records]
+    if ulog is not None and len(records) > 1:
+        raise VerifyError(f"--ulog is the log of one flight, and {len(records)} records are named: name one")
+    judged = [(record, judge_record(record, ulog)) for record in records]
     if as_json:
         print(json.dumps([_object(record, judgement) for record, judgement in judged], allow_nan=False, indent=1))
     else:
@@ -34,15 +42,24 @@ def verify(records: Sequence[Path], *, as_json: bool) -> int:
     return ExitStatus.ENDED if all(judgement.passed for _, judgement in judged) else ExitStatus.VIOLATED
 
 
-def judge_record(record: Path) -> Judgement:
-    """One flight's judgement. Raises RecordError."""
+def judge_record(record: Path, ulog: Path | None = None) -> Judgement:
+    """One flight's judgement. Raises RecordError, ULogError."""
     if not record.is_file():
         raise RecordError(f"{record} is no file: name a flight record")
     header = read_header(record)
     try:
-        return judge(flight_of(header.metadata, read_record(record), closed=header.complete))
+        flight = flight_of(header.metadata, read_record(record), closed=header.complete)
     except EvidenceError as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
+    judgement = judge(flight)
+    if ulog is None:
+        return judgement
+    from m3r_app.evidence.ulog import read_tracks  # loads pyulog
+    from m3r_app.evidence.witness import witnessed
+
+    if flight.origin is None:
+        raise RecordError(f"{record} does not tell where its frame lies, so no log can be compared with it")
+    return replace(judgement, lines=(*judgement.lines, *witnessed(flight, read_tracks(ulog, flight.origin))))
 
 
 def table(name: str, judgement: Judgement) -> list[str]:

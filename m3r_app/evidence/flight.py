@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety.limits import Limits
-from safety.vocabulary import Ned, Neighbours, Operator, Plan, ReservedVolume, VehicleState
+from safety.vocabulary import Geodetic, Ned, Neighbours, Operator, Plan, ReservedVolume, VehicleState
 
 Floats = NDArray[np.float64]
 
@@ -112,6 +112,8 @@ class Flight:
 
     limits: Limits
     ground: Ground
+    origin: Geodetic | None
+    """Of the record's frame."""
     operator: Operator | None
     telemetry: tuple[tuple[float, VehicleState], ...]
     neighbours: tuple[tuple[float, Neighbours], ...]

@@ -30,6 +30,7 @@ from m3r_app.evidence.flight import (
 from safety.limits import Limits
 from safety.vocabulary import (
     FlightMode,
+    Geodetic,
     Ned,
     Neighbours,
     Operator,
@@ -73,6 +74,7 @@ def _flight(metadata: Data, messages: list[Message], *, closed: bool) -> Flight:
     return Flight(
         _limits(metadata),
         _ground(metadata["world"]),
+        Geodetic(*map(float, metadata["origin"])) if metadata.get("origin") else None,
         Operator(Ned(*operator["position"]), operator["sigma_m"]) if operator else None,
         tuple((t_s, _vehicle(data, started_s)) for t_s, data in told("telemetry")),
         tuple((t_s, _neighbours(data["neighbours"], started_s)) for t_s, data in told("neighbours")),
