@@ -34,6 +34,7 @@ from m3r_app.run_setup import RunSetup, prepare
 from m3r_app.runtime import Recording, Shell, request_event
 from m3r_app.sim.process import SimulatedFleet
 from m3r_app.snapshot import Taken
+from m3r_app.step_record import START, STEP, StepWriter, provenance
 from m3r_app.takeoff_landing import GroundWork
 from m3r_app.vehicle.fleet import Fleet
 from m3r_app.vehicle.guard import Guard
@@ -244,8 +245,11 @@ class Run:
             "origin": setup.frame.origin,
             "world": setup.world,
             "models": list(inputs.models),
+            **provenance(),
         }
-        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon))
+        steps = StepWriter()
+        writers = {START: steps, STEP: steps}
+        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon, writers))
 
     async def _connect(self, setup: RunSetup, stack: AsyncExitStack) -> Fleet:
         if self.options.vehicles:

@@ -60,6 +60,8 @@ from safety.vocabulary import FlightMode, ManeuverRequest, Ned, Neighbours
 
 TICK_S = 0.1
 MARGINS_S = 0.5
+TELEMETRY_S = 0.1
+"""The record tells telemetry for readers this often; the arbiter's steps hold every sample."""
 NEWS_S = 0.02
 """News of neighbours are not looked at more often than this."""
 FRESH_S = 10.0
@@ -106,6 +108,7 @@ class Shell:
         """The paired drone's autopilot has started anew: there is nothing left to fly."""
         self._emit = emit
         self._recording = recording
+        recording.record("start", clock(), {"state": state})
         self._pairing = pairing
         self._ground_work = ground_work
         self._declared_empty = declared_empty
@@ -114,6 +117,7 @@ class Shell:
         self._heard = asyncio.Event()
         """The drone that has been taken has told where it is."""
         self._margins_at_s = -math.inf
+        self._told_s = -math.inf
         self._tasks: set[asyncio.Task[None]] = set()
         self._pairing_task: asyncio.Task[None] | None = None
         self._ground_task: asyncio.Task[None] | None = None
@@ -131,6 +135,7 @@ class Shell:
         """One step, its effects, its record."""
         now_s = self.clock()
         self.state, effects = step(self.state, event, now_s)
+        self._recording.record("step", now_s, {"now_s": now_s, "event": event, "effects": effects, "state": self.state})
         if not isinstance(event, TelemetryArrived | Tick | NeighboursHeard):
             self._recording.record("input", now_s, {"kind": type(event).__name__, "event": _recordable(event)})
         for effect in effects:
@@ -388,8 +393,10 @@ class Shell:
         self._shift = found.shift
         if found.moved:
             self.inbox.put(FrameMoved("its estimator moved its own origin"))
-        told = {**_recordable(found.state), "vehicle": commander.vehicle.colour, "geodetic": telemetry.geodetic}
-        self._recording.record("telemetry", now_s, told)
+        if now_s - self._told_s >= TELEMETRY_S:
+            self._told_s = now_s
+            told = {**_recordable(found.state), "vehicle": commander.vehicle.colour, "geodetic": telemetry.geodetic}
+            self._recording.record("telemetry", now_s, told)
         self.inbox.put(TelemetryArrived(found.state))
         self._heard.set()
 

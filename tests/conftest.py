@@ -35,6 +35,7 @@ PURE = (
     "m3r_app/test_hillside.py",
     "formal",
     "m3r_app/evidence",
+    "m3r_app/test_replay.py",
     "test_flights.py",
     "soak/test_takeover.py",
     "soak/test_air_messages.py",

@@ -96,6 +96,7 @@ def _parser(runs: Mapping[str, Run]) -> Parser:
     _add_evaluate(commands)
     _add_report(commands)
     _add_verify(commands)
+    _add_replay(commands)
     _add(commands, "modes", "print the mode machine as a Mermaid diagram")
     _add_requirements(commands)
     for name, command in commands.choices.items():
@@ -289,6 +290,20 @@ def _add_verify(commands: Any) -> None:
     verify.add_argument("record", nargs="+", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
     verify.add_argument("--json", action="store_true", help="print one JSON array: every limit of every plan")
     verify.add_argument("--ulog", type=_typed(parse_file), metavar="LOG", help="PX4's log of the same flight (ULog)")
+
+
+def _add_replay(commands: Any) -> None:
+    parser = _add(commands, "replay", "take a recorded flight step by step again and compare every effect and state")
+    parser.add_argument("file", type=_typed(parse_file), nargs="+", metavar="FILE", help="flight record (MCAP)")
+    parser.add_argument(
+        "--config",
+        type=_typed(parse_file),
+        action="append",
+        default=[],
+        metavar="TOML",
+        help="tell instead what would have become of each request under these settings",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a file")
 
 
 def _add_requirements(commands: Any) -> None:

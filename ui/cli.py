@@ -250,6 +250,12 @@ def _run_verify(options: argparse.Namespace) -> int:
     return verify(options.record, options.ulog, as_json=options.json)
 
 
+def _run_replay(options: argparse.Namespace) -> int:
+    from ui.replay import run
+
+    return run(options)
+
+
 def _run_modes(_options: argparse.Namespace) -> int:
     from m3r_app.arbiter.modes import mermaid
 
@@ -277,6 +283,7 @@ RUNS: dict[str, Callable[[argparse.Namespace], int]] = {
     "evaluate": _run_evaluate,
     "report": _run_report,
     "verify": _run_verify,
+    "replay": _run_replay,
     "modes": _run_modes,
     "requirements": _run_requirements,
 }

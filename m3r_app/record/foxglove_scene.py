@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 SCENE_TOPICS = ("stage", "flight", "anchor", "plan", "blocked", "neighbours")
 TRAIL_S = 60.0
 TRAIL_EVERY_S = 0.2
+TRAIL_SHOWN_S = 1.0
+"""The trail is long, so it is sent anew less often than the drone."""
 STALE_S = 1.0
 BLOCKED_S = 8
 """How long a blocked request stays in the scene."""
@@ -49,6 +51,7 @@ class Scene:
         self._decision: Mapping[str, Any] = {}
         self._name = ""
         self._trail: deque[tuple[float, list[float]]] = deque()
+        self._trail_shown_s = -math.inf
 
     def views(self, topic: str, data: Mapping[str, Any], log_ns: int) -> list[View]:
         """The updates by this message; none where the scene stays as it is. Values that are not finite are left out."""
@@ -77,6 +80,7 @@ class Scene:
         if name != self._name:
             self._name = name
             self._trail.clear()
+            self._trail_shown_s = -math.inf
         self._place = place
         if self._trail and t_s - self._trail[-1][0] < TRAIL_EVERY_S:
             return []
@@ -92,6 +96,9 @@ class Scene:
             "color": _ink("drone"),
         }
         drone = _entity("drone", stamp, arrows=[arrow], frame=name, texts=[_text(name, [0.0, 0.0, -0.6])])
+        if t_s - self._trail_shown_s < TRAIL_SHOWN_S:
+            return _update("flight", stamp, [drone])
+        self._trail_shown_s = t_s
         trail = _entity("flown", stamp, lines=[_line([p for _, p in self._trail], "flown", 0.04)])
         return _update("flight", stamp, [drone, trail])
 

@@ -19,6 +19,7 @@ from m3r_app.queue_thread import QueueThread
 from m3r_app.record.foxglove_scene import SCENE_TOPICS, Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
+from m3r_app.record.recorder import TYPED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,7 +64,9 @@ class Viewer:
         return f"ws://{HOST}:{self._server.port}"
 
     def record(self, topic: str, t_s: float, data: Mapping[str, object]) -> None:
-        """Queue one message; when the queue is full, it is the one that is dropped."""
+        """Queue one message; when the queue is full, it is the one that is dropped. Steps of the arbiter are not shown."""
+        if topic in TYPED:
+            return
         if not self._messages.put((topic, t_s, time.time_ns(), data)):
             self.dropped += 1
 

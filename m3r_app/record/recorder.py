@@ -1,7 +1,7 @@
 """The flight record: everything that went in, was decided, was sent and was measured, as one MCAP file.
 
 `Recorder.record` only puts a reference into a bounded queue; a thread of its own makes JSON of it and writes. Chunks are
-small and written out as they fill, so that the record of a killed app is readable up to its last second. A disk that
+small and written out as they fill, so that the record of a killed app is readable up to its last second or two. A disk that
 fails in flight is reported once and never stops the flight.
 
 Topics are the events of the machine-readable output under their own names (`request`, `decision`, `mode`, ...) and what
@@ -13,18 +13,19 @@ every message is the app's own monotonic time, seconds.
 from __future__ import annotations
 
 import json
+import math
 import os
 import struct
 import threading
 import time
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
-from zstandard import ZstdError
+from zstandard import ZstdCompressor, ZstdDecompressor, ZstdError
 
 from m3r_app.plain import plain, restored
 from m3r_app.queue_thread import QueueThread
@@ -34,17 +35,25 @@ from m3r_app.record.foxglove_views import views
 from m3r_app.record.overwriting import is_other_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
 
 SCHEMA_VERSION = 1
 """Of the topics and their fields; a reader refuses what is newer."""
-CHUNK_BYTES = 4096
+CHUNK_BYTES = 16_384
+"""Half a second of flight: small enough that a killed app loses little, large enough to be packed well."""
+COMPRESSION = CompressionType.ZSTD
+VIEW_S = 0.2
+"""Copies for viewers of what comes more often than this are thinned; the messages themselves never are."""
+THINNED = frozenset({"telemetry", "setpoint", "neighbours"})
 QUEUE_LENGTH = 20_000
 """Messages; about a minute of flight."""
 CLOSE_S = 10.0
 VIEW_PREFIX = "/view/"
 METADATA_NAME = "m3r"
+TYPED = frozenset({"start", "step"})
+"""Topics of typed values, which `read_lines` reads."""
+PACKED = "application/json+zstd"
 _DAMAGE = (McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, MemoryError)
 """What reading past the undamaged part of a file raises."""
 
@@ -53,17 +62,40 @@ class RecordError(ValueError):
     """A record that cannot be written or read; one sentence that names the file."""
 
 
+@dataclass(frozen=True)
+class Line:
+    """A message that has its JSON already, without the braces about it. attachments: by name, written before it."""
+
+    body: str
+    attachments: Mapping[str, bytes]
+
+
+class LineWriter(Protocol):
+    """Makes the messages of some topics itself. Called on the recorder's thread."""
+
+    def line(self, topic: str, data: Mapping[str, object]) -> Line: ...
+
+
 class Recorder:
     """Writes one flight record. Thread-safe; `record` takes microseconds and never blocks, waits or raises."""
 
-    def __init__(self, path: Path, metadata: Mapping[str, object], on_failure: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, object],
+        on_failure: Callable[[str], None],
+        writers: Mapping[str, LineWriter] | None = None,
+    ) -> None:
         """Open `path` and write the metadata (app version, settings, scenario, model: anything `plain` can take).
+
+        writers: by topic, of messages that are no plain data.
 
         on_failure: called on the writing thread, with a sentence, the first time that messages are lost and if writing fails.
         Raises RecordError where the file cannot be written, or holds something that is no flight record.
         """
         self._path = path
         self._on_failure = on_failure
+        self._writers = writers or {}
         self._failed = False
         self._told_of_gaps = False
         self._dropped = 0
@@ -76,7 +108,7 @@ class Recorder:
         except OSError as error:
             raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
         try:
-            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=COMPRESSION)
             self._mcap.start(profile="", library="m3r")
             named = {"schema_version": SCHEMA_VERSION, **metadata}
             self._mcap.add_metadata(METADATA_NAME, {key: _json(value) for key, value in named.items()})
@@ -87,6 +119,8 @@ class Recorder:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._scene = Scene()
+        self._viewed_s: dict[str, float] = {}
+        """By topic: when it was last copied for viewers."""
         self._messages: QueueThread[tuple[str, float, int, Mapping[str, object]]] = QueueThread(
             "m3r-recorder", self._run, QUEUE_LENGTH
         )
@@ -128,8 +162,19 @@ class Recorder:
             self._fail(error.strerror or str(error))
 
     def _write(self, topic: str, t_s: float, log_ns: int, data: Mapping[str, object]) -> None:
+        if topic in self._writers:
+            line = self._writers[topic].line(topic, data)
+            for name, content in line.attachments.items():
+                packed = ZstdCompressor(level=3).compress(content)
+                self._mcap.add_attachment(log_ns, log_ns, name, PACKED, packed)
+            self._add_text(topic, f"m3r.{topic}", {}, f'{{"t":{t_s!r},{line.body}}}', log_ns)
+            return
         message = plain(dict(data), lossless=True) | {"t": t_s}
         self._add(topic, f"m3r.{topic}", message, log_ns)
+        if topic in THINNED:
+            if t_s - self._viewed_s.get(topic, -math.inf) < VIEW_S:
+                return
+            self._viewed_s[topic] = t_s
         for view in (*views(topic, message, log_ns), *self._scene.views(topic, message, log_ns)):
             self._add(f"{VIEW_PREFIX}{view.topic}", view.schema, view.message, log_ns)
 
@@ -141,14 +186,18 @@ class Recorder:
         self._write("record_gap", t_s, log_ns, {"dropped": dropped})
 
     def _add(self, topic: str, schema: str, message: Mapping[str, Any], log_ns: int) -> None:
+        self._add_text(topic, schema, message, json.dumps(message, allow_nan=False), log_ns)
+
+    def _add_text(self, topic: str, schema: str, like: Mapping[str, Any], text: str, log_ns: int) -> None:
+        """like: a message whose fields its schema names."""
         channel = self._channels.get(topic)
         if channel is None:
             if schema not in self._schemas:
-                text = json.dumps(SCHEMAS.get(schema) or _schema_of(message)).encode()
-                self._schemas[schema] = self._mcap.register_schema(schema, "jsonschema", text)
+                fields = json.dumps(SCHEMAS.get(schema) or _schema_of(like)).encode()
+                self._schemas[schema] = self._mcap.register_schema(schema, "jsonschema", fields)
             channel = self._mcap.register_channel(topic, "json", self._schemas[schema])
             self._channels[topic] = channel
-        self._mcap.add_message(channel, log_ns, json.dumps(message, allow_nan=False).encode(), log_ns)
+        self._mcap.add_message(channel, log_ns, text.encode(), log_ns)
 
     def _fail(self, reason: str) -> None:
         self._failed = True
@@ -213,14 +262,39 @@ def read_record(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     Raises RecordError if the file cannot be read or is no flight record.
     """
     read_header(path)
+    for topic, message in _messages(path):
+        if not topic.startswith(VIEW_PREFIX) and topic not in TYPED:
+            data = restored(json.loads(message))
+            t_s = data.pop("t")
+            yield topic, t_s, data
+
+
+def read_lines(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(topic, JSON as it stands) of every message of these topics, in their order. Raises RecordError."""
+    for topic, message in _messages(path):
+        if topic in wanted:
+            yield topic, json.loads(message)
+
+
+def read_attachments(path: Path) -> Iterator[tuple[str, bytes]]:
+    """(name, content) of every attachment. Raises RecordError."""
+    for record in _records(path):
+        if isinstance(record, Attachment) and record.media_type == PACKED:
+            try:
+                yield record.name, ZstdDecompressor().decompress(record.data)
+            except ZstdError:
+                raise RecordError(
+                    f"flight record {path} is damaged: its attachment {record.name} cannot be read"
+                ) from None
+
+
+def _messages(path: Path) -> Iterator[tuple[str, bytes]]:
     topics: dict[int, str] = {}
     for record in _records(path):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
-        elif isinstance(record, Message) and not topics[record.channel_id].startswith(VIEW_PREFIX):
-            data = restored(json.loads(record.data))
-            t_s = data.pop("t")
-            yield topics[record.channel_id], t_s, data
+        elif isinstance(record, Message):
+            yield topics[record.channel_id], record.data
 
 
 def _records(path: Path) -> Iterator[object]:

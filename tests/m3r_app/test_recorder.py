@@ -172,7 +172,8 @@ def test_telemetry_without_a_place_has_no_view(tmp_path: Path) -> None:
         assert [channel.topic for _, channel, _ in make_reader(file).iter_messages()] == ["telemetry"]
 
 
-def test_every_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
+def test_every_cut_leaves_a_readable_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("m3r_app.record.recorder.CHUNK_BYTES", 4096)  # several of them in a short record
     path, cut = tmp_path / "flight.mcap", tmp_path / "cut.mcap"
     messages = [("setpoint", i / 50, {"position": Ned(i, -i, 0.5 * i), "yaw_deg": float(i)}) for i in range(120)]
     write(path, messages)
@@ -194,7 +195,8 @@ def test_every_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
     assert longest_unreadable_bytes < 400  # only a cut inside the metadata leaves nothing to read
 
 
-def test_damage_ends_the_reading(tmp_path: Path) -> None:
+def test_damage_ends_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("m3r_app.record.recorder.CHUNK_BYTES", 4096)  # several of them in a short record
     path = tmp_path / "flight.mcap"
     messages = [("request", float(i), {"id": f"r{i}", "evidence": "go left " * 5}) for i in range(200)]
     write(path, messages)
@@ -229,17 +231,17 @@ def test_a_killed_app_leaves_its_record(tmp_path: Path) -> None:
     ) as app:
         assert app.stdin is not None
         assert app.stdout is not None
-        for _ in range(5):
+        for _ in range(14):
             app.stdout.readline()
             app.stdin.write("\n")
             app.stdin.flush()
         deadline = time.monotonic() + 20
-        while len(list(read_record(path))) < 580:  # of 600; the rest lies in the chunk being filled
+        while len(list(read_record(path))) < 1300:  # of 1,500; the rest lies in the chunk being filled
             assert time.monotonic() < deadline
         app.send_signal(signal.SIGKILL)
     read = list(read_record(path))
     assert [data["position"][0] for _, _, data in read] == list(range(len(read)))
-    assert len(read) >= 580
+    assert len(read) >= 1300
     assert not read_header(path).complete
 
 

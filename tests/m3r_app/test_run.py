@@ -9,6 +9,7 @@ import signal
 import socket
 import threading
 import time
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from m3r_app.record.recorder import read_header, read_record
+from m3r_app.replay import replay
+from m3r_app.step_record import read_flight, source_sha256
 from modalities.models.catalogue import ModelError, find_hand_model, find_model
 from safety.limits import Limits
 from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
@@ -203,8 +206,19 @@ def test_the_record_holds_all_of_it(story: tuple[Ran, Simulated, Path]) -> None:
     assert topics["mode"] == len(ran.of("mode"))
     flown_s = ran.events[-1]["t"] - ran.of("pair", status="confirmed")[0]["t"]
     assert topics["setpoint"] > 40 * flown_s
-    assert topics["telemetry"] > 30 * flown_s
+    assert topics["telemetry"] > 7 * flown_s
+    told = Counter(type(one.event).__name__ for one in read_flight(record).steps())
+    assert told["TelemetryArrived"] > 30 * flown_s and told["Tick"] > 7 * flown_s
     assert {"input", "plan", "neighbours", "end"} <= topics.keys()
+
+
+@pytest.mark.requirement("R9")
+def test_the_record_is_decided_the_same_again(story: tuple[Ran, Simulated, Path]) -> None:
+    """Bit for bit, every effect and every state of a whole run."""
+    _, _, record = story
+    found = replay(record, source_sha256())
+    assert found.whole and found.same_source and found.difference is None
+    assert found.steps > 500
 
 
 # ---------------------------------------------------------------- ends that nobody wishes for

@@ -210,10 +210,13 @@ def test_it_renders_and_its_numbers_are_the_records(tmp_path: Path) -> None:
     assert [url for url in fetched if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
-def test_a_record_that_breaks_off_is_told_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_record_that_breaks_off_is_told_as_far_as_it_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("m3r_app.record.recorder.CHUNK_BYTES", 1024)  # several of them in a short record
     whole = flight(tmp_path / "whole.mcap").read_bytes()
     torn = tmp_path / "torn.mcap"
-    torn.write_bytes(whole[: len(whole) // 2])
+    torn.write_bytes(whole[: len(whole) * 2 // 3])
     assert main(["report", str(torn)]) == 0
     told = capsys.readouterr()
     assert "breaks off after" in told.err
