@@ -8,15 +8,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from m3r_app.evidence.judge import judge
-from m3r_app.evidence.reading import EvidenceError, flight_of
+from m3r_app.evidence.reading import EvidenceError, Message, flight_of
+from m3r_app.evidence.steps import steps_of
 from m3r_app.evidence.verdict import Judgement, Line
 from m3r_app.exit_status import ExitStatus
-from m3r_app.record.recorder import RecordError, read_header, read_record
+from m3r_app.record.recorder import RecordError, read_attachments, read_header, read_lines, read_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+STEP = "step"
+"""The topic of the arbiter's steps; older records have none."""
 COLUMNS = ("judged", "limit", "lines", "worst", "about", "at", "")
 DECIMALS = 4
 
@@ -47,8 +50,15 @@ def judge_record(record: Path, ulog: Path | None = None) -> Judgement:
     if not record.is_file():
         raise RecordError(f"{record} is no file: name a flight record")
     header = read_header(record)
+    metadata = header.metadata
+    messages: list[Message] = list(read_record(record))
+    steps = [line for _, line in read_lines(record, (STEP,))]
     try:
-        flight = flight_of(header.metadata, read_record(record), closed=header.complete)
+        if steps:
+            texts = {name.partition(".")[0]: content.decode() for name, content in read_attachments(record)}
+            metadata = {**metadata, "started_s": steps[0]["now_s"] - steps[0]["t"]}
+            messages = steps_of(messages, steps, metadata["shapes"], texts)
+        flight = flight_of(metadata, messages, closed=header.complete)
     except EvidenceError as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
     judgement = judge(flight)

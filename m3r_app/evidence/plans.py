@@ -25,6 +25,8 @@ DIP_M = 0.06
 SEEN_M = 3.0
 """The ground is looked for so far beyond what is required; a margin is cut off there."""
 MOMENT_S = 0.02
+TIMED_M = 0.03
+"""No drone is where the time says by less than this: a separation may fall so much short."""
 AROUND = np.array(
     [(0.0, 0.0, 0.0)]
     + [
@@ -163,14 +165,16 @@ class _Judging:
     def number(self, limit: str, margin: float, unit: str, note: str = "") -> list[Line]:
         return self.line(limit, float(margin), passed=margin >= -ROUNDING, unit=unit, note=note)
 
-    def along(self, limit: str, margins: Floats, *, mends: bool = True, note: str = "") -> list[Line]:
+    def along(
+        self, limit: str, margins: Floats, *, mends: bool = True, note: str = "", spare_m: float = ROUNDING
+    ) -> list[Line]:
         """From margins along the line."""
         if not np.isfinite(margins).all():
             return self.line(limit, None, passed=False, note=f"{note} cannot be judged".strip())
         least = float(margins.min())
         mending = mends and margins[0] < 0.0 and float((np.maximum.accumulate(margins) - margins).max()) <= DIP_M
-        told = f"{note} broken already, and mended".strip() if mending and least < -ROUNDING else note
-        return self.line(limit, least, passed=least >= -ROUNDING or mending, note=told)
+        told = f"{note} broken already, and mended".strip() if mending and least < -spare_m else note
+        return self.line(limit, least, passed=least >= -spare_m or mending, note=told)
 
 
 def _terrain(j: _Judging) -> list[Line]:
@@ -299,7 +303,7 @@ def _separation(j: _Judging) -> list[Line]:
         # Wherever it may be on its line: where the time says, behind by its lag, or ahead by what it coasts.
         tracks = [approach_m(start + track[:, None] * direction - place) for track in (on_time, late, ahead)]
         lowest = min(tracks, key=lambda away: float(away.min()))
-        lines += j.along("separation", lowest - need_m, note=name)
+        lines += j.along("separation", lowest - need_m, note=name, spare_m=TIMED_M)
     return lines + _ages(j, sky)
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from enum import Enum
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import shapely
@@ -41,6 +42,7 @@ from safety.vocabulary import (
     VehicleState,
 )
 
+Member = TypeVar("Member", bound=Enum)
 Data = Mapping[str, Any]
 Message = tuple[str, float, Data]
 
@@ -73,7 +75,7 @@ def _flight(metadata: Data, messages: list[Message], *, closed: bool) -> Flight:
     operator = metadata.get("operator")
     return Flight(
         _limits(metadata),
-        _ground(metadata["world"]),
+        _ground(told("world")[-1][1] if told("world") else metadata["world"]),
         Geodetic(*map(float, metadata["origin"])) if metadata.get("origin") else None,
         Operator(Ned(*operator["position"]), operator["sigma_m"]) if operator else None,
         tuple((t_s, _vehicle(data, started_s)) for t_s, data in told("telemetry")),
@@ -157,7 +159,7 @@ def _vehicle(data: Data, started_s: float) -> VehicleState:
     for name in ("position", "velocity", "disagreement"):
         if name in known:
             known[name] = Ned(*known[name])
-    known["flight_mode"] = FlightMode(known.get("flight_mode", FlightMode.UNKNOWN))
+    known["flight_mode"] = _member(FlightMode, known.get("flight_mode", "UNKNOWN"))
     return replace(VehicleState(**known), at_s=data["at_s"] - started_s)
 
 
@@ -192,7 +194,7 @@ def _plan(data: Data) -> Plan:
         for name in ("move", "turn")
     }
     return Plan(
-        Primitive(data["primitive"]),
+        _member(Primitive, data["primitive"]),
         Ned(*data["start"]),
         Ned(*data["direction"]),
         profiles["move"],
@@ -203,6 +205,12 @@ def _plan(data: Data) -> Plan:
         float(data["max_duration_s"]),
         float(data["stop_m"]),
     )
+
+
+def _member(kind: type[Member], told: str) -> Member:
+    """By its name, as the steps tell it, or by its value."""
+    found = kind.__members__.get(told)
+    return found if found is not None else kind(told)
 
 
 def _requests(told: list[tuple[float, Data]]) -> tuple[Asked, ...]:

@@ -22,6 +22,7 @@ from m3r_app.step_record import read_flight, source_sha256
 from modalities.models.catalogue import ModelError, find_hand_model, find_model
 from safety.limits import Limits
 from tests.whole import HILLSIDE, PLAIN, App, Ran, Simulated, m3r, simulated
+from ui.verify import judge_record
 
 STORY = """\
 0.5 panel go right
@@ -192,6 +193,17 @@ def test_without_the_camera_and_the_microphone_the_rest_flies(story: tuple[Ran, 
     assert "hands are off: camera:99 gives no picture: check that it is there and that nothing else uses it" in texts
     assert any(text.startswith("voice is off: there is no ") for text in texts)
     assert ran.of("motion", status="completed")
+
+
+@pytest.mark.requirement("R9")
+@pytest.mark.xdist_group("story")
+def test_an_independent_judge_finds_nothing_to_object_to(story: tuple[Ran, Simulated, Path]) -> None:
+    """By a geometry of its own, over every sample of the arbiter's steps."""
+    ran, _, record = story
+    found = judge_record(record)
+    assert found.failing == ()
+    assert found.plans == len(ran.of("motion", status="started"))
+    assert found.samples > 500
 
 
 @pytest.mark.xdist_group("story")
