@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NoReturn
 
 ROOT = Path(__file__).resolve().parent.parent
-PROGRAMS = ("ui.entry", "m3r_app.sim.__main__", "tests.virtual_pad")
+PROGRAMS = ("ui.entry", "m3r_app.sim.__main__", "tests.virtual_pad", "tests.soak.weakened")
 IMPORTED = (*PROGRAMS, "ui.cli", "m3r_app.run")
 LONGEST = 1 << 18
 
