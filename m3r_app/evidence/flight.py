@@ -95,11 +95,16 @@ class Planned(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """From when to when the drone was ours, and where pairing was confirmed."""
+    """From when to when the drone was ours, and where pairing was confirmed.
+
+    noise_m: how far a noisy estimate was seen to wander, 1 sigma; wider_m: by how much its tube was widened for that.
+    """
 
     from_s: float
     until_s: float
     centre: Ned | None
+    noise_m: float = 0.0
+    wider_m: float = 0.0
 
 
 TOGETHER_S = 0.2

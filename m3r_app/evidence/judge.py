@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from m3r_app.evidence.account import account
 from m3r_app.evidence.flight import Flight
 from m3r_app.evidence.plans import Moment, judge_plan
@@ -34,5 +36,7 @@ def _plans(flight: Flight) -> list[Line]:
             next((stretch for stretch in flight.ours if stretch.from_s <= t_s <= stretch.until_s), None),
             next((asked for asked in flight.requests if asked.id == subject and asked.t_s <= t_s), None),
         )
-        lines += judge_plan(plan, subject, moment, flight)
+        wider_m = moment.stretch.wider_m if moment.stretch is not None else 0.0
+        limits = replace(flight.limits, tracking_m=flight.limits.tracking_m + wider_m)
+        lines += judge_plan(plan, subject, moment, replace(flight, limits=limits))
     return lines

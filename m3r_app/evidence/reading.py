@@ -17,6 +17,7 @@ import shapely
 
 from config.settings import Settings
 from m3r_app.evidence.flight import (
+    TOGETHER_S,
     Asked,
     Decided,
     Fence,
@@ -82,7 +83,7 @@ def _flight(metadata: Data, messages: list[Message], *, closed: bool) -> Flight:
         tuple((t_s, _neighbours(data["neighbours"], started_s)) for t_s, data in told("neighbours")),
         tuple((t_s, _volumes(data["volumes"], started_s)) for t_s, data in told("reservations")),
         anchors,
-        _ours(told("pair"), anchors),
+        _ours(told("pair"), anchors, told("noise")),
         tuple(
             Planned(t_s, _plan(data["plan"]) if isinstance(data.get("plan"), dict) else None)
             for t_s, data in told("plan")
@@ -222,7 +223,9 @@ def _requests(told: list[tuple[float, Data]]) -> tuple[Asked, ...]:
     return tuple(found.values())
 
 
-def _ours(pairs: list[tuple[float, Data]], anchors: tuple[tuple[float, Ned], ...]) -> tuple[Stretch, ...]:
+def _ours(
+    pairs: list[tuple[float, Data]], anchors: tuple[tuple[float, Ned], ...], noises: list[tuple[float, Data]]
+) -> tuple[Stretch, ...]:
     """From a confirmed pairing to the release; the session is about the place of its first anchor."""
     found: list[Stretch] = []
     open_s: float | None = None
@@ -231,6 +234,9 @@ def _ours(pairs: list[tuple[float, Data]], anchors: tuple[tuple[float, Ned], ...
             open_s = t_s
         elif data["status"] == "released" and open_s is not None:
             centre = next((place for at_s, place in anchors if open_s <= at_s <= t_s), None)
-            found.append(Stretch(open_s, t_s, centre))
+            # Told with the confirmation, in the same step.
+            noise = next((data for at_s, data in noises if abs(at_s - open_s) <= TOGETHER_S), {})
+            wider = noise.get("noise_m", 0.0), noise.get("wider_m", 0.0)
+            found.append(Stretch(open_s, t_s, centre, *wider))
             open_s = None
     return tuple(found)

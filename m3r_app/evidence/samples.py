@@ -163,7 +163,10 @@ def _speed(flight: Flight, times: Floats, ned: Floats) -> list[Line]:
         spans_s = times[first:last] - times[before]
         judged = spans_s >= 0.8 * SPEED_OVER_S
         moved = np.linalg.norm(ned[first:last] - ned[before], axis=1)[judged] / spans_s[judged]
-        bound = plan.move.speed + flight.limits.speed_tolerance_m_s
+        stretch = _stretch(flight, started.t_s)
+        # Of an estimate that wanders no speed is known better than this.
+        noise_m_s = flight.limits.noise_k * stretch.noise_m / SPEED_OVER_S if stretch is not None else 0.0
+        bound = plan.move.speed + flight.limits.speed_tolerance_m_s + noise_m_s
         if len(moved):
             found.append(_line("speed", times[first:last][judged], bound - moved, started.request, "m/s"))
     return found

@@ -64,7 +64,9 @@ class Documents:
 
 
 def messages_of(steps: Iterable[Data], documents: Documents) -> Iterator[Message]:
-    """What the steps tell, as the record's messages would: telemetry, neighbours, reservations, plans, and the world."""
+    """What the steps tell, as the record's messages would: telemetry, neighbours, reservations, plans, the world, and the noise of
+    an estimate for which the session's tube was widened.
+    """
     for step in steps:
         t_s, (kind, *fields) = step["t"], step["event"]
         match kind:
@@ -79,6 +81,8 @@ def messages_of(steps: Iterable[Data], documents: Documents) -> Iterator[Message
         for effect in step.get("effects", ["()"])[1:]:
             if effect[0] == "Fly":
                 yield "plan", t_s, documents.plain(effect)
+            elif effect[:2] == ["Announce", ["Notice", "PAIRED"]] and (metres := documents.plain(effect)["metres"]):
+                yield "noise", t_s, {"noise_m": metres[0], "wider_m": metres[1]}
 
 
 def steps_of(

@@ -389,3 +389,10 @@ def test_what_no_m3r_writes_is_one_sentence(flown: Told) -> None:
     del told.of("plan")[0][1]["plan"]["move"]
     with pytest.raises(EvidenceError, match="it holds what no m3r writes"):
         judged(told)
+
+
+@pytest.mark.soak
+def test_the_judge_agrees_with_what_was_granted_in_200_flights() -> None:
+    judgements = [judged(RecordedFlight(seed).told()) for seed in range(100, 300)]
+    assert sum(found.plans for found in judgements) > 500
+    assert [line for found in judgements for line in found.failing] == []

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.effects import Fly, Hold
 from m3r_app.arbiter.events import NeighboursHeard, PairingAnswered, TelemetryArrived, Tick
 from m3r_app.evidence.judge import judge
 from m3r_app.evidence.reading import EvidenceError, flight_of
 from m3r_app.evidence.steps import steps_of
+from m3r_app.output import Notice
 from m3r_app.step_record import codec
 from safety.vocabulary import Ned, Neighbours, VehicleState
 from tests.m3r_app.evidence.recorded import STARTED_S, RecordedFlight
@@ -90,6 +92,26 @@ def test_a_world_that_was_changed_is_found(flown: tuple[SteppedFlight, Any]) -> 
     changed = {name: text.replace("0.1", "0.2") for name, text in flight.text.documents.items()}
     with pytest.raises(EvidenceError, match="is missing or was changed"):
         steps_of(told.messages, flight.steps, flight.text.shapes(), changed)
+
+
+def test_a_tube_widened_for_a_noisy_estimate_counts(flown: tuple[SteppedFlight, Any]) -> None:
+    """As it was told when pairing was confirmed: farther from everything, and no speed is known better than its noise."""
+    flight, told = flown
+    (confirmed_s, _), *_ = told.of("pair")
+    said = (Announce(Notice.PAIRED, "red", (), (0.1, 0.7)),)
+    step = {"t": confirmed_s, "event": ["Tick"], "effects": json.loads(flight.text.text(said))}
+    messages = steps_of(told.messages, [*flight.steps, step], flight.text.shapes(), flight.text.documents)
+    wider = judge(flight_of(told.metadata, messages, closed=True))
+    before = judge(flight_of(told.metadata, told.messages, closed=True))
+    less = {
+        (a.part, a.limit, a.note): round(b.margin - a.margin, 6)
+        for a, b in zip(wider.lines, before.lines, strict=True)
+        if a.margin is not None and b.margin is not None
+    }
+    assert less["plan", "standoff", ""] == less["plan", "workspace", ""] == 0.7
+    assert less["plan", "envelope", "where it starts"] == -0.7
+    assert less["telemetry", "speed", ""] == pytest.approx(-3.0 * 0.1 / 0.5)
+    assert less["telemetry", "standoff", ""] == 0.0
 
 
 def _state(sigma_m: float) -> VehicleState:
