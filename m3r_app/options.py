@@ -78,6 +78,8 @@ class RunOptions:
     """Who the operator is there."""
     record: Path | None = None
     """Flight record to write."""
+    record_key: Path | None = None
+    """Ed25519 key (PEM) that it is signed with; None: not signed."""
     timeout_s: float | None = None
 
     @property

@@ -29,6 +29,7 @@ from m3r_app.inputs import InputError, Inputs, Senses, open_inputs
 from m3r_app.options import RunOptions
 from m3r_app.output import AnnounceEvent, EndEvent, EndReason, Notice, OutputEvent, Told, fields_of, known
 from m3r_app.pairing import Pairing
+from m3r_app.record.chain import Chain, private_key
 from m3r_app.record.recorder import Recorder
 from m3r_app.run_setup import RunSetup, prepare
 from m3r_app.runtime import Recording, Shell, request_event
@@ -249,7 +250,9 @@ class Run:
         }
         steps = StepWriter()
         writers = {START: steps, STEP: steps}
-        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon, writers))
+        key = self.options.record_key
+        chain = Chain(private_key(key) if key is not None else None)
+        self._sinks.append(Recorder(self.options.record, metadata, self._say_soon, writers, chain))
 
     async def _connect(self, setup: RunSetup, stack: AsyncExitStack) -> Fleet:
         if self.options.vehicles:

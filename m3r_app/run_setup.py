@@ -10,6 +10,7 @@ from m3r_app.environment.loaders import load_world
 from m3r_app.environment.scenario import SHIPPED, Scenario, load_scenario
 from m3r_app.options import OptionError, RunOptions
 from m3r_app.ports import check_link
+from m3r_app.record.chain import private_key
 from safety.frames import LocalFrame
 from safety.limits import Limits
 from safety.obstacles import Obstacles
@@ -41,6 +42,10 @@ def prepare(options: RunOptions) -> RunSetup:
     Raises ValueError (SettingsError, ScenarioError, WorldError, OptionError), LinkError or AirError: one sentence.
     """
     settings = load_settings(options.config, options.overrides)
+    if options.record_key is not None:
+        if options.record is None:
+            raise OptionError("--record-key signs a flight record: name one with --record FILE")
+        private_key(options.record_key)  # what is wrong with it is told before anything flies
     for url in options.vehicles.values():
         check_link(url)
     path = options.scenario or (None if options.vehicles else SHIPPED / "hillside.toml")

@@ -35,6 +35,7 @@ PURE = (
     "m3r_app/test_hillside.py",
     "formal",
     "m3r_app/evidence",
+    "m3r_app/test_chain.py",
     "m3r_app/test_replay.py",
     "test_flights.py",
     "soak",  # what is unsafe once is unsafe

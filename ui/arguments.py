@@ -198,6 +198,7 @@ def _add_flight(run: Parser) -> None:
     )
     _add_air(run)
     run.add_argument("--record", type=file, metavar="FILE", help="write a flight record (MCAP)")
+    run.add_argument("--record-key", type=file, metavar="PEM", help="sign the record with this Ed25519 key")
     run.add_argument("--timeout", type=_typed(parse_timeout), metavar="S", help="end after this long")
 
 
@@ -289,6 +290,9 @@ def _add_verify(commands: Any) -> None:
     verify = _add(commands, "verify", "judge recorded flights without the code that flew them")
     verify.add_argument("record", nargs="+", type=_typed(parse_file), metavar="FILE", help="flight record (MCAP)")
     verify.add_argument("--json", action="store_true", help="print one JSON array: every limit of every plan")
+    verify.add_argument(
+        "--key", type=_typed(parse_file), metavar="PEM", help="the public key that the record must be signed with"
+    )
     verify.add_argument("--ulog", type=_typed(parse_file), metavar="LOG", help="PX4's log of the same flight (ULog)")
 
 

@@ -160,6 +160,7 @@ def _asked(options: argparse.Namespace) -> RunOptions:
         broker=options.broker,
         credentials=options.credentials,
         record=options.record,
+        record_key=options.record_key,
         timeout_s=options.timeout,
     )
 
@@ -247,7 +248,7 @@ def _run_report(options: argparse.Namespace) -> int:
 def _run_verify(options: argparse.Namespace) -> int:
     from ui.verify import verify
 
-    return verify(options.record, options.ulog, as_json=options.json)
+    return verify(options.record, options.ulog, options.key, as_json=options.json)
 
 
 def _run_replay(options: argparse.Namespace) -> int:

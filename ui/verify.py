@@ -12,7 +12,15 @@ from m3r_app.evidence.reading import EvidenceError, Message, flight_of
 from m3r_app.evidence.steps import steps_of
 from m3r_app.evidence.verdict import Judgement, Line
 from m3r_app.exit_status import ExitStatus
-from m3r_app.record.recorder import RecordError, read_attachments, read_header, read_lines, read_record
+from m3r_app.record.chain import check, public_key
+from m3r_app.record.recorder import (
+    RecordError,
+    read_attachments,
+    read_header,
+    read_lines,
+    read_parts,
+    read_record,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +36,7 @@ class VerifyError(ValueError):
     """What was asked for cannot be done; one sentence."""
 
 
-def verify(records: Sequence[Path], ulog: Path | None, *, as_json: bool) -> int:
+def verify(records: Sequence[Path], ulog: Path | None, key: Path | None = None, *, as_json: bool) -> int:
     """Judge them all and print what is found; returns the exit status: 0, or 4 where something does not hold.
 
     ulog: the autopilot's log of the one flight. Raises RecordError where a file is no flight record, ULogError where that is
@@ -36,7 +44,7 @@ def verify(records: Sequence[Path], ulog: Path | None, *, as_json: bool) -> int:
     """
     if ulog is not None and len(records) > 1:
         raise VerifyError(f"--ulog is the log of one flight, and {len(records)} records are named: name one")
-    judged = [(record, judge_record(record, ulog)) for record in records]
+    judged = [(record, judge_record(record, ulog, key)) for record in records]
     if as_json:
         print(json.dumps([_object(record, judgement) for record, judgement in judged], allow_nan=False, indent=1))
     else:
@@ -45,8 +53,8 @@ def verify(records: Sequence[Path], ulog: Path | None, *, as_json: bool) -> int:
     return ExitStatus.ENDED if all(judgement.passed for _, judgement in judged) else ExitStatus.VIOLATED
 
 
-def judge_record(record: Path, ulog: Path | None = None) -> Judgement:
-    """One flight's judgement. Raises RecordError, ULogError."""
+def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None) -> Judgement:
+    """One flight's judgement. key: the public one that it must be signed with. Raises RecordError, ULogError, KeyFileError."""
     if not record.is_file():
         raise RecordError(f"{record} is no file: name a flight record")
     header = read_header(record)
@@ -62,6 +70,7 @@ def judge_record(record: Path, ulog: Path | None = None) -> Judgement:
     except EvidenceError as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
     judgement = judge(flight)
+    judgement = replace(judgement, lines=(*judgement.lines, chain_line(record, key)))
     if ulog is None:
         return judgement
     from m3r_app.evidence.ulog import read_tracks  # loads pyulog
@@ -70,6 +79,23 @@ def judge_record(record: Path, ulog: Path | None = None) -> Judgement:
     if flight.origin is None:
         raise RecordError(f"{record} does not tell where its frame lies, so no log can be compared with it")
     return replace(judgement, lines=(*judgement.lines, *witnessed(flight, read_tracks(ulog, flight.origin))))
+
+
+def chain_line(record: Path, key: Path | None) -> Line:
+    """Whether the record is as it was written. Raises RecordError, KeyFileError."""
+    found = check(read_parts(record), public_key(key) if key is not None else None)
+    if not found.links and not found.broken:
+        note = "it has no chain, so nobody can tell whether it was changed: an older m3r made it"
+    elif found.broken:
+        note = found.broken
+    elif found.signed is False:
+        note = "it is not signed with the key that was given"
+    elif not found.ended or found.uncovered:
+        note = f"it has no last link: it was cut, or its app was killed; {found.uncovered} messages are covered by none"
+    else:
+        signed = "signed with the key that was given" if found.signed else "no signature was asked about"
+        note = f"{found.links} links hold, {signed}"
+    return Line("record", "chain of hashes", "", None, "", found.intact, None, note)
 
 
 def table(name: str, judgement: Judgement) -> list[str]:

@@ -29,6 +29,7 @@ from zstandard import ZstdCompressor, ZstdDecompressor, ZstdError
 
 from m3r_app.plain import plain, restored
 from m3r_app.queue_thread import QueueThread
+from m3r_app.record.chain import LINK, LINK_S, Chain
 from m3r_app.record.foxglove_scene import Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
@@ -51,8 +52,8 @@ QUEUE_LENGTH = 20_000
 CLOSE_S = 10.0
 VIEW_PREFIX = "/view/"
 METADATA_NAME = "m3r"
-TYPED = frozenset({"start", "step"})
-"""Topics of typed values, which `read_lines` reads."""
+TYPED = frozenset({"start", "step", LINK})
+"""Topics that only `read_lines` and `read_parts` read: typed values, and the chain of hashes."""
 PACKED = "application/json+zstd"
 _DAMAGE = (McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, MemoryError)
 """What reading past the undamaged part of a file raises."""
@@ -85,10 +86,11 @@ class Recorder:
         metadata: Mapping[str, object],
         on_failure: Callable[[str], None],
         writers: Mapping[str, LineWriter] | None = None,
+        chain: Chain | None = None,
     ) -> None:
         """Open `path` and write the metadata (app version, settings, scenario, model: anything `plain` can take).
 
-        writers: by topic, of messages that are no plain data.
+        writers: by topic, of messages that are no plain data; chain: with a key, if the record is to be signed.
 
         on_failure: called on the writing thread, with a sentence, the first time that messages are lost and if writing fails.
         Raises RecordError where the file cannot be written, or holds something that is no flight record.
@@ -96,11 +98,13 @@ class Recorder:
         self._path = path
         self._on_failure = on_failure
         self._writers = writers or {}
+        self._chain = chain or Chain()
         self._failed = False
         self._told_of_gaps = False
         self._dropped = 0
         self._dropped_lock = threading.Lock()
         self._wall_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
+        self._linked_ns = time.time_ns()
         try:
             if is_other_file(path, MCAP0_MAGIC, len(MCAP0_MAGIC)):
                 raise RecordError(f"flight record {path} would overwrite a file that is no flight record: name another")
@@ -111,7 +115,9 @@ class Recorder:
             self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=COMPRESSION)
             self._mcap.start(profile="", library="m3r")
             named = {"schema_version": SCHEMA_VERSION, **metadata}
-            self._mcap.add_metadata(METADATA_NAME, {key: _json(value) for key, value in named.items()})
+            head = {key: _json(value) for key, value in named.items()}
+            self._mcap.add_metadata(METADATA_NAME, head)
+            self._chain.take(METADATA_NAME, _canonical(head))
             self._file.flush()
         except OSError as error:
             self._abandon_file()
@@ -156,6 +162,7 @@ class Recorder:
         if self._failed:
             return
         try:
+            self._link(time.monotonic_ns() + self._wall_minus_monotonic_ns, last=True)
             self._mcap.finish()  # type: ignore[no-untyped-call]
             self._file.close()
         except OSError as error:
@@ -198,6 +205,16 @@ class Recorder:
             channel = self._mcap.register_channel(topic, "json", self._schemas[schema])
             self._channels[topic] = channel
         self._mcap.add_message(channel, log_ns, text.encode(), log_ns)
+        if topic == LINK:
+            return
+        self._chain.take(topic, text.encode())
+        if log_ns - self._linked_ns > LINK_S * 1e9:
+            self._linked_ns = log_ns
+            self._link(log_ns)
+
+    def _link(self, log_ns: int, *, last: bool = False) -> None:
+        link = {**self._chain.link(last=last), "t": log_ns / 1e9}
+        self._add_text(LINK, f"m3r.{LINK}", link, json.dumps(link), log_ns)
 
     def _fail(self, reason: str) -> None:
         self._failed = True
@@ -214,6 +231,11 @@ class Recorder:
             self._file.close()
         except OSError:
             pass  # What could not be flushed before cannot be now; the failure itself is already being reported.
+
+
+def _canonical(head: Mapping[str, str]) -> bytes:
+    """The metadata as one text, whatever the order of its keys."""
+    return json.dumps(head, sort_keys=True).encode()
 
 
 def _json(value: object) -> str:
@@ -286,6 +308,22 @@ def read_attachments(path: Path) -> Iterator[tuple[str, bytes]]:
                 raise RecordError(
                     f"flight record {path} is damaged: its attachment {record.name} cannot be read"
                 ) from None
+
+
+def read_parts(path: Path) -> Iterator[tuple[str, bytes]]:
+    """(kind, content) of all that the chain of hashes covers, and its links, in their order. Raises RecordError.
+
+    Attachments are not among them: a message names them by their sha256.
+    """
+    topics: dict[int, str] = {}
+    for record in _records(path):
+        match record:
+            case Channel():
+                topics[record.id] = record.topic
+            case Message():
+                yield topics[record.channel_id], record.data
+            case Metadata():
+                yield record.name, _canonical(record.metadata)
 
 
 def _messages(path: Path) -> Iterator[tuple[str, bytes]]:
