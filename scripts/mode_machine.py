@@ -10,7 +10,8 @@ from pathlib import Path
 
 from m3r_app.arbiter.modes import TRANSITIONS, WHILE_HELD, next_state
 from safety.vocabulary import Cause, State
-from tests.formal.justified import STRICTER, WITHOUT_ENTRY, justification
+from tests.formal.exploration import ALPHABET, INVARIANTS
+from tests.formal.justified import STRICTER, UNTAKEN, WITHOUT_ENTRY, justification
 from tests.formal.specification import ASSUMPTIONS, FAIR, GUARANTEES, REST, Solved, solved
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "mode-machine.md"
@@ -91,6 +92,21 @@ def page() -> str:
     for state, cause, held in without_entry(game):
         to, why = WITHOUT_ENTRY[state, cause]
         lines.append(f"| `{state}` | {cause} | `{to}` | {_names(game.allowed[state, cause, held])} | {why} |")
+    never = sum(map(len, UNTAKEN.values()))
+    whole = len(TRANSITIONS) + len(WHILE_HELD)
+    lines += [
+        "",
+        "## Explored",
+        "",
+        f"`tests/formal/test_exploration.py` puts the arbiter itself before each of {len(ALPHABET)} events in every abstract state that it finds,",
+        f"and judges every step. {whole - never} of the {whole} entries are taken; a test holds that the other {never} are these:",
+        "",
+        *(f"* {why}: {len(entries)}" for why, entries in UNTAKEN.items()),
+        "",
+        "| requirements | what holds of every step |",
+        "|---|---|",
+        *(f"| {', '.join(ids)} | {what} |" for what, (ids, _) in INVARIANTS.items()),
+    ]
     lines += ["", "## What is assumed", "", "| source | assumption |", "|---|---|"]
     lines += [f"| {r.source} | {r.says} |" for r in ASSUMPTIONS]
     lines += [

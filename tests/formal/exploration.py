@@ -47,12 +47,11 @@ from safety.vocabulary import (
     VehicleState,
     Verdict,
 )
+from tests.formal.justified import Entry
 from tests.m3r_app.tabletop import FLAT, OPERATOR, PLACE, ball, check_step
 
 NAN = math.nan
 REST = (State.IDLE, State.ARMED, State.EMERGENCY_HOLD)
-Entry = tuple[State, Cause, bool]
-"""State, cause, and whether it is an entry of WHILE_HELD."""
 
 
 @dataclass(frozen=True)

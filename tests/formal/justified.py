@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from m3r_app.arbiter.modes import TRANSITIONS, WHILE_HELD
 from safety.vocabulary import Cause, State
 
 S, C = State, Cause
@@ -64,6 +65,29 @@ STRICTER: dict[C, str] = {
     C.DRY_RUN: "nothing has moved since Armed, so there is nothing to settle: the table goes back at once",
 }
 """Why, of several answers that the game allows, the table has the one it has."""
+
+Entry = tuple[State, Cause, bool]
+"""State, cause, and whether it is an entry of WHILE_HELD."""
+
+ENTRIES: frozenset[Entry] = frozenset(
+    {*((s, c, False) for s, c in TRANSITIONS), *((s, c, True) for s, c in WHILE_HELD)}
+)
+
+PASSING = (State.DETECTED, State.VALIDATED)
+"""No step ends in these, so nothing from outside meets them."""
+OUTSIDE = (Cause.STOP, Cause.RELEASED, Cause.AUTHORITY_LOST)
+UNTAKEN: dict[str, frozenset[Entry]] = {
+    "Detected and Validated last no longer than a step, so no event meets them": frozenset(
+        e for e in ENTRIES if e[0] in PASSING and e[1] in OUTSIDE
+    ),
+    "in Blocked every event, STOP included, first tells it and leaves it": frozenset(
+        e for e in ENTRIES if e[0] is State.BLOCKED and e[1] in OUTSIDE
+    ),
+    "a dry run flies nothing, so nothing is asked for in EmergencyHold": frozenset(
+        {(State.PLANNED, Cause.DRY_RUN, True)}
+    ),
+}
+"""Entries that no step takes, and why; the table has them so that it is whole by itself."""
 
 
 def justification(state: S, cause: C, *, held: bool) -> tuple[str, ...]:

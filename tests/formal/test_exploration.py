@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from m3r_app.arbiter.modes import TRANSITIONS, WHILE_HELD
+from m3r_app.arbiter.modes import WHILE_HELD
 from m3r_app.arbiter.state import Policy
 from m3r_app.arbiter.step import step
 from safety.requirements import REQUIREMENTS
@@ -15,34 +15,15 @@ from safety.vocabulary import Cause, State
 from tests.formal.exploration import (
     INVARIANTS,
     REST,
-    Entry,
     Explored,
     explore,
     journey,
     left_in_silence_after_s,
     rests_after_s,
 )
+from tests.formal.justified import ENTRIES, PASSING, UNTAKEN
 
 HELD = frozenset(WHILE_HELD)
-ENTRIES: frozenset[Entry] = frozenset(
-    {*((s, c, False) for s, c in TRANSITIONS), *((s, c, True) for s, c in WHILE_HELD)}
-)
-
-PASSING = (State.DETECTED, State.VALIDATED)
-"""No step ends in these, so nothing from outside meets them."""
-OUTSIDE = (Cause.STOP, Cause.RELEASED, Cause.AUTHORITY_LOST)
-UNTAKEN: dict[str, frozenset[Entry]] = {
-    "Detected and Validated last no longer than a step, so no event meets them": frozenset(
-        e for e in ENTRIES if e[0] in PASSING and e[1] in OUTSIDE
-    ),
-    "in Blocked every event, STOP included, first tells it and leaves it": frozenset(
-        e for e in ENTRIES if e[0] is State.BLOCKED and e[1] in OUTSIDE
-    ),
-    "a dry run flies nothing, so nothing is asked for in EmergencyHold": frozenset(
-        {(State.PLANNED, Cause.DRY_RUN, True)}
-    ),
-}
-"""Entries that no step takes, and why; the table has them so that it is whole by itself."""
 
 POLICIES = {"auto": Policy(), "ask": Policy(return_to_anchor="ask"), "dry run": Policy(dry_run=True)}
 SMALL = {"auto": 150, "ask": 40, "dry run": 25}
@@ -154,7 +135,8 @@ def test_an_arbiter_that_holds_late_is_found() -> None:
 
 
 def test_an_arbiter_whose_refusal_leaves_emergency_hold_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(WHILE_HELD, (State.BLOCKED, Cause.TOLD))
+    rest = {e: to for e, to in WHILE_HELD.items() if e != (State.BLOCKED, Cause.TOLD)}
+    monkeypatch.setattr("m3r_app.arbiter.modes.WHILE_HELD", rest)
     assert "EmergencyHold is left by an approval or with the session" in _broken(step)
 
 
