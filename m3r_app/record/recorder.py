@@ -41,12 +41,11 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 """Of the topics and their fields; a reader refuses what is newer."""
-CHUNK_BYTES = 16_384
+CHUNK_BYTES = 32_768
 """Half a second of flight: small enough that a killed app loses little, large enough to be packed well."""
 COMPRESSION = CompressionType.ZSTD
-VIEW_S = 0.2
+VIEW_S = {"telemetry": 0.2, "setpoint": 0.5, "neighbours": 0.5}
 """Copies for viewers of what comes more often than this are thinned; the messages themselves never are."""
-THINNED = frozenset({"telemetry", "setpoint", "neighbours"})
 QUEUE_LENGTH = 20_000
 """Messages; about a minute of flight."""
 CLOSE_S = 10.0
@@ -178,8 +177,8 @@ class Recorder:
             return
         message = plain(dict(data), lossless=True) | {"t": t_s}
         self._add(topic, f"m3r.{topic}", message, log_ns)
-        if topic in THINNED:
-            if t_s - self._viewed_s.get(topic, -math.inf) < VIEW_S:
+        if topic in VIEW_S:
+            if t_s - self._viewed_s.get(topic, -math.inf) < VIEW_S[topic]:
                 return
             self._viewed_s[topic] = t_s
         for view in (*views(topic, message, log_ns), *self._scene.views(topic, message, log_ns)):
