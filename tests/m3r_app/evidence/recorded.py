@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from config.settings import load_settings
+from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.effects import AnchorMoved, Fly
 from m3r_app.arbiter.events import Event, NeighboursHeard, TelemetryArrived
+from m3r_app.output import Notice
 from m3r_app.plain import plain, restored
 from m3r_app.record.recorder import Recorder
 from tests.flights import Flight
@@ -45,6 +47,8 @@ class RecordedFlight(Flight):
             self.record(event, fields)
         if isinstance(effect, Fly):
             self.record("plan", {"plan": effect.plan})
+        if isinstance(effect, Announce) and effect.notice is Notice.PAIRED and effect.metres:
+            self.record("noise", {"noise_m": effect.metres[0], "wider_m": effect.metres[1]})
         if isinstance(effect, AnchorMoved):
             self.record("anchor", {"position": effect.position, "radius_m": effect.radius_m})
 
