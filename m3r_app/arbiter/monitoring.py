@@ -98,6 +98,9 @@ def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
         if breach.kind == "predicted" or breach in news:
             _report(run, breach, Action.ABORT)
     execution.end(run, MotionStatus.ABORTED)
+    off = run.vehicle.disagreement
+    if off.norm > run.state.limits.disagreement_m:
+        run.state = replace(run.state, session=replace(run.session, astray=run.session.astray.plus(off)))
     run.go(Cause.VIOLATION)
     run.state = replace(run.state, return_at_s=None, may_return=policy == "auto" and outward)
     run.tell(Notice.ABORTED, wording.told(aborts))

@@ -32,6 +32,8 @@ from safety.vocabulary import Cause, Finding, FlightMode, ManeuverRequest, Path,
 
 TOLD_WHOLE_S = 1.2
 """That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
+ASTRAY = 1.5
+"""Of the disagreement allowed: less than two maneuvers that were aborted for it, in one direction, come to."""
 OURS = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 
@@ -223,6 +225,21 @@ def unlocated(run: Step) -> None:
     elif run.now_s - s.unlocated_since_s >= s.limits.position_lost_s:
         why = "it does not know where it is any more, so it is told to land"
         leave(run, Cause.AUTHORITY_LOST, "land", why)
+
+
+def astray(run: Step) -> bool:
+    """Whether it has been flown further from where it believes to be than one maneuver aborted for that explains; then it is over.
+
+    At rest a stuck position is as good as any other, so each next move would be granted from the same place. Source: X6, X11.
+    """
+    if not run.session.astray.norm > ASTRAY * run.state.limits.disagreement_m:
+        return False
+    if not run.at_rest(run.vehicle):
+        return False  # an autopilot's own Hold would fly on to where it brakes to, which a stuck position never reaches
+    off_m = run.session.astray.norm
+    why = f"its position has missed {off_m:.1f} m that its velocity says it flew, so it holds; look after its GPS, then pair again"
+    leave(run, Cause.AUTHORITY_LOST, "hold", why)
+    return True
 
 
 def leave(

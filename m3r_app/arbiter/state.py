@@ -61,6 +61,8 @@ class Session:
     configured: Limits | None = None
     """The limits of the settings, where those of this session are wider, for its estimate is noisy."""
     noise: Noise | None = None
+    astray: Ned = Ned(0.0, 0.0, 0.0)
+    """What its velocity says that it has flown and its position does not, over all the maneuvers aborted for it. Source: X6."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,6 +115,8 @@ def telemetry(run: Step, heard: VehicleState) -> None:
             if monitoring.monitor(run):
                 execution.arrive(run, vehicle)
         case State.EMERGENCY_HOLD:
+            if sessions.astray(run):
+                return
             monitoring.monitor(run)
             monitoring.way_back(run)
             sessions.unlocated(run)

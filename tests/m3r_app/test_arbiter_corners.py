@@ -10,14 +10,14 @@ import pytest
 from m3r_app.arbiter import decisions, wording
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step, impossible
-from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition
+from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition, LetGo
 from m3r_app.arbiter.events import ClaimLost, FrameMoved, Requested
 from m3r_app.arbiter.preview import WAITS, preview
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.output import Notice
 from safety.limits import Limits
-from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, Verdict
+from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, VehicleState, Verdict
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.test_arbiter import ball, flying, held, pairing, settling, wall_at
 
@@ -197,3 +197,43 @@ def test_a_drone_that_fell_silent_is_told_as_that(silent: bool, notice: Notice) 
     table.put(ClaimLost("lost, silent for 5 s", silent=silent))
     assert table.effects(Announce)[-1].notice is notice
     assert table.state.state is State.IDLE
+
+
+class Stuck(Tabletop):
+    """Its position stays what it was, whatever its velocity says."""
+
+    stuck: Ned | None = None
+
+    def vehicle(self) -> VehicleState:
+        told = super().vehicle()
+        return told if self.stuck is None else replace(told, position=self.stuck)
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_a_stuck_position_ends_the_session_before_it_is_walked_away_from() -> None:
+    """At rest a stuck position is as good as any: without an end each next move would be granted from the same place."""
+    table = Stuck().paired()
+    assert isinstance(table, Stuck)
+    start = table.stuck = table.position
+    for _ in range(6):
+        if table.state.session is not None:
+            table.ask(Command.GO_LEFT)
+        table.wait(5.0)
+    assert table.position.minus(start).norm <= 2.0 * (Limits().lateral_step_m + 0.3)
+    assert table.state.state is State.IDLE
+    assert any("look after its GPS" in reason for reason in table.reports("pair")[-1]["reasons"])
+    assert LetGo("hold") in table.log
+
+
+@pytest.mark.requirement("X6")
+def test_a_move_and_its_way_back_that_were_missed_are_no_walk() -> None:
+    """What was missed one way and then the other leaves the drone where its position says."""
+    table = Stuck().paired()
+    assert isinstance(table, Stuck)
+    table.stuck = table.position
+    table.ask(Command.GO_LEFT)
+    table.wait(5.0)
+    table.ask(Command.GO_RIGHT)
+    table.wait(5.0)
+    assert len(table.motions("aborted")) >= 2
+    assert table.state.session is not None
