@@ -8,7 +8,7 @@ tests/m3r_app/test_arbiter.py look there.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -116,6 +116,13 @@ def answered(answer: str, *, ours: bool = True) -> Happening:
     return Happening(f"volume {answer}{'' if ours else ' for nobody'}", 0.02, make)
 
 
+def _beside(state: ArbiterState, now_s: float) -> Event:
+    """Near enough to shorten a move to the left."""
+    return NeighboursHeard(
+        ball("blue", vehicle(state, now_s).position.plus(Ned(0.0, -5.0, 0.0)), Ned(0.0, 0.0, 0.0), now_s)
+    )
+
+
 def _near(state: ArbiterState, now_s: float) -> Event:
     return NeighboursHeard(
         ball("blue", vehicle(state, now_s).position.plus(Ned(2.5, 0.0, 0.0)), Ned(0.0, 0.0, 0.0), now_s)
@@ -140,7 +147,7 @@ ALPHABET: tuple[Happening, ...] = (
     told("flown by a pilot", flight_mode=FlightMode.POSITION), told("held by somebody", flight_mode=FlightMode.HOLD),
     told("in a mode unknown", flight_mode=FlightMode.UNKNOWN), told("on the ground", 1.3, in_air=False),
     Happening("sky clear", 0.02, lambda _s, _n: NeighboursHeard(Neighbours.none(math.inf))),
-    Happening("somebody near", 0.02, _near), Happening("a lease in the way", 0.02, _lease),
+    Happening("somebody beside", 0.02, _beside), Happening("somebody near", 0.02, _near), Happening("a lease in the way", 0.02, _lease),
     Happening("feed dead", 0.02, lambda _s, n: NeighboursHeard(Neighbours.none(n - 3.0))),
     answered("granted"), answered("denied"), answered("expired"), answered("granted", ours=False),
     Happening("stalled", 0.02, lambda _s, _n: Stalled("it stalled")),
@@ -300,6 +307,25 @@ INVARIANTS: dict[str, tuple[tuple[str, ...], Callable[[Taken], bool]]] = {
 }  # fmt: skip
 
 
+ABOUT: dict[str, Callable[[Taken], bool]] = {
+    "a flight begins": lambda t: t.flies,
+    "a way back begins": lambda t: t.flies and t.after.state is State.RETURN_TO_ANCHOR,
+    "reduced": lambda t: any(d["verdict"] is Verdict.REDUCED for d in t.decisions),
+    "STOP while paired": lambda t: t.asks(Command.STOP) and t.before.authority,
+    "in doubt": lambda t: isinstance(t.event, Requested) and not t.event.request.confidence >= 0.5,
+    "Blocked": lambda t: t.after.state is State.BLOCKED,
+    "in EmergencyHold": lambda t: t.before.state is State.EMERGENCY_HOLD,
+    "held": lambda t: t.before.held,
+    "taken over": lambda t: (
+        t.before.authority
+        and isinstance(t.event, TelemetryArrived)
+        and t.event.vehicle.flight_mode == FlightMode.POSITION
+    ),
+    "paired": lambda t: t.after.session is not None and t.after.session.anchor is not None,
+}
+"""What the invariants speak of: one that never comes about would hold for want of it."""
+
+
 # ---------------------------------------------------------------- the search
 
 
@@ -316,6 +342,8 @@ class Explored:
     entries: set[Entry] = field(default_factory=set)
     broken: list[tuple[str, str, str]] = field(default_factory=list)
     steps: int = 0
+    met: Counter[str] = field(default_factory=Counter)
+    """How often what the invariants are about was there at all."""
     whole: bool = True
     """Whether every abstract state found was also expanded."""
 
@@ -395,6 +423,7 @@ def explore(
 
 
 def judge(found: Explored, taken: Taken, name: str) -> None:
+    found.met.update(what for what, there in ABOUT.items() if there(taken))
     for what, (_, holds) in INVARIANTS.items():
         try:
             fine = holds(taken)
@@ -404,7 +433,15 @@ def judge(found: Explored, taken: Taken, name: str) -> None:
             found.broken.append((what, taken.before.state, name))
 
 
-TO_ARMED = ("sky clear", "rests", "asked to pair", "pairing accepted", "is told of all along")
+TO_ARMED = (
+    "sky clear",
+    "rests",
+    "asked to pair",
+    "pairing accepted",
+    "is told of all along",
+    "somebody beside",
+    "sky clear",
+)
 TO_HOLD = ("go_left by voice, 0.9, 0.0 s ago, red", "volume granted", "rests", "somebody near", "rests", "sky clear")
 TO_RETURN = (*("rests",) * 30, "volume granted")
 ASKED_TO_RETURN = ("rests", "rests", "rests", "continue by voice, 0.9, 0.0 s ago, red", "volume granted")

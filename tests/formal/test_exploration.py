@@ -13,6 +13,7 @@ from m3r_app.arbiter.step import step
 from safety.requirements import REQUIREMENTS
 from safety.vocabulary import Cause, State
 from tests.formal.exploration import (
+    ABOUT,
     INVARIANTS,
     REST,
     Explored,
@@ -57,6 +58,11 @@ def test_every_entry_is_taken_but_those_that_cannot_be() -> None:
     taken = frozenset().union(*(small(policy).entries for policy in POLICIES))
     assert taken <= ENTRIES
     assert ENTRIES - taken == frozenset().union(*UNTAKEN.values())
+
+
+def test_no_invariant_holds_for_want_of_what_it_is_about() -> None:
+    met = small("auto").met + small("ask").met + small("dry run").met
+    assert {what for what in ABOUT if not met[what]} == set()
 
 
 def test_a_dry_run_moves_nothing() -> None:
