@@ -67,7 +67,7 @@ def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None
             metadata = {**metadata, "started_s": steps[0]["now_s"] - steps[0]["t"]}
             messages = steps_of(messages, steps, metadata["shapes"], texts)
         flight = flight_of(metadata, messages, closed=header.complete)
-    except EvidenceError as error:
+    except (EvidenceError, KeyError, TypeError, UnicodeDecodeError) as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
     judgement = judge(flight)
     judgement = replace(judgement, lines=(*judgement.lines, chain_line(record, key)))

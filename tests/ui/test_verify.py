@@ -72,5 +72,8 @@ def test_a_record_of_something_else_is_one_sentence(
 ) -> None:
     told = flown.copy()
     told.metadata["world"] = {"terrain": 3}
+    path = told.write(tmp_path / "steps.mcap", steps=[{"n": 1}])
+    assert cli.main(["verify", str(path)]) == 2
+    assert "steps.mcap cannot be judged" in capsys.readouterr().err
     assert cli.main(["verify", str(told.write(tmp_path / "odd.mcap"))]) == 2
     assert "cannot be judged: it holds what no m3r writes" in capsys.readouterr().err

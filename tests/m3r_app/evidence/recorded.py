@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +84,8 @@ class Told:
     def of(self, topic: str) -> list[tuple[float, dict[str, Any]]]:
         return [(t_s, data) for name, t_s, data in self.messages if name == topic]
 
-    def write(self, path: Path) -> Path:
-        """As a file."""
+    def write(self, path: Path, steps: Sequence[dict[str, Any]] = ()) -> Path:
+        """As a file. steps: of the arbiter, as they are."""
 
         def failed(sentence: str) -> None:
             raise AssertionError(sentence)
@@ -92,5 +93,7 @@ class Told:
         made = Recorder(path, self.metadata, failed)
         for topic, t_s, data in self.messages:
             made.record(topic, t_s, data)
+        for step in steps:
+            made.record("step", 0.0, step)
         made.close()
         return path
