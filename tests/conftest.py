@@ -25,6 +25,7 @@ PURE = (
     "safety",
     "test_house.py",
     "test_readme.py",
+    "test_trace_page.py",
     "config",
     "m3r_app/test_arbiter.py",
     "m3r_app/test_out_there.py",
