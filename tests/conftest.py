@@ -38,6 +38,7 @@ PURE = (
     "m3r_app/evidence",
     "m3r_app/test_chain.py",
     "m3r_app/test_replay.py",
+    "m3r_app/test_properties.py",
     "test_flights.py",
     "soak",  # what is unsafe once is unsafe
 )

@@ -30,6 +30,7 @@ PURE = {
     "functools",
     "itertools",
     "operator",
+    "re",
     "math",
     "numpy",
     "typing",

@@ -70,7 +70,8 @@ def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None
     except (EvidenceError, KeyError, TypeError, UnicodeDecodeError) as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
     judgement = judge(flight)
-    judgement = replace(judgement, lines=(*judgement.lines, chain_line(record, key)))
+    held = property_lines(record) if steps else ()
+    judgement = replace(judgement, lines=(*judgement.lines, *held, chain_line(record, key)))
     if ulog is None:
         return judgement
     from m3r_app.evidence.ulog import read_tracks  # loads pyulog
@@ -79,6 +80,32 @@ def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None
     if flight.origin is None:
         raise RecordError(f"{record} does not tell where its frame lies, so no log can be compared with it")
     return replace(judgement, lines=(*judgement.lines, *witnessed(flight, read_tracks(ulog, flight.origin))))
+
+
+def property_lines(record: Path) -> tuple[Line, ...]:
+    """Every temporal property over the arbiter's steps, by what they were told and did. Raises RecordError."""
+    from m3r_app.arbiter.signals import SignalReader
+    from m3r_app.step_record import read_flight
+    from safety.properties import Watch
+
+    flight = read_flight(record)
+    reader, watch = SignalReader(flight.start.limits), Watch()
+    for step in flight.steps():
+        effects = flight.text.value(json.loads(step.effects))
+        watch.update(step.t_s, reader.read(step.event, effects))
+    return tuple(
+        Line(
+            "property",
+            found.of.requirement,
+            found.of.formula,
+            found.robustness if math.isfinite(found.robustness) else None,
+            "",
+            found.holds,
+            found.at_s,
+            "never asked about in this flight" if found.vacuous else found.of.says,
+        )
+        for found in watch.results()
+    )
 
 
 def chain_line(record: Path, key: Path | None) -> Line:
