@@ -19,7 +19,7 @@ export M3R_MODELS ?= $(CURDIR)/../shared/models
 endif
 
 PURE_TESTS := tests/safety tests/test_flights.py $(addprefix tests/m3r_app/test_,$(addsuffix .py,arbiter arbiter_corners \
-	out_there modes fusion ground_work hillside properties)) tests/ui/test_no_english_is_parsed.py
+	out_there modes fusion ground_work hillside properties)) tests/ui/test_no_english_is_parsed.py tests/ui/test_requirements.py
 
 # Without bytecode on the disk every start compiles a thousand files anew: seconds of the app's, minutes of the tests'.
 unexport PYTHONDONTWRITEBYTECODE
