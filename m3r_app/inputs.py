@@ -185,6 +185,7 @@ class Voice:
             on_request=lambda request: _post(loop, sink, request),
             on_partial=lambda words: _post(loop, senses.words, words),
             on_level=lambda level: _post(loop, senses.level_dbfs, level),
+            on_warning=self._say,
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             self_speech=self._self_speech,
             on_dropped=dropped,
