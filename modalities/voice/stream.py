@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 from modalities.threaded_stream import ThreadedStream
 from modalities.voice.audio import Chunk, Gap
 from modalities.voice.capture import level_dbfs
-from modalities.voice.decoder import Heard, Recognizer
+from modalities.voice.decoder import Heard
+from modalities.voice.in_noise import Listener
 from modalities.voice.self_speech import SelfSpeech
 from modalities.voice.sound_check import SoundCheck
 from safety.vocabulary import Command, ManeuverRequest, Modality
@@ -25,7 +26,7 @@ class VoiceStream(ThreadedStream):
     def __init__(
         self,
         chunks: Iterable[Chunk | Gap],
-        recognizer: Recognizer,
+        recognizer: Listener,
         *,
         clock: Clock,
         began_s: float,

@@ -74,6 +74,8 @@ def test_a_quiet_voice_and_one_through_a_telephone_are_told_once() -> None:
     (band,) = told(np.rint(narrow).astype(np.int16))
     assert "through a telephone" in band
     assert told(at(-30.0, HISS)) == [], "noise is no voice"
+    (noise,) = told(np.tile(at(-20.0, HISS), 4))
+    assert "too noisy for voice (noise of -20 dBFS" in noise
 
 
 def test_signal_to_noise_is_measured() -> None:
