@@ -4,6 +4,7 @@
 #   make check   style, types, floors           make bench   the figures, beside what they are compared with
 #   make lock    renew requirements.lock             make px4     fly a real PX4 SITL: M3R_PX4=path/to/px4 make px4
 #   make coverage  lines and branches of the pure core (safety/, m3r_app/arbiter/) that its tests reach: all
+#   make mutate    whether they notice small changes of it; resumable, an hour
 #   make trace   which test holds which requirement
 
 SHELL := /bin/bash
@@ -18,16 +19,20 @@ ifneq ($(wildcard ../shared/models),)
 export M3R_MODELS ?= $(CURDIR)/../shared/models
 endif
 
-PURE_TESTS := tests/safety tests/test_flights.py $(addprefix tests/m3r_app/test_,$(addsuffix .py,arbiter arbiter_corners \
+PURE_TESTS := tests/safety tests/test_flights.py tests/test_golden.py $(addprefix tests/m3r_app/test_,$(addsuffix .py,arbiter arbiter_corners \
 	out_there modes fusion ground_work hillside properties)) tests/ui/test_no_english_is_parsed.py tests/ui/test_requirements.py
+
+# The export of the requirements decides nothing; the settings' defaults are the limits'.
+MUTATION_TESTS := $(filter-out tests/ui/test_requirements.py,$(PURE_TESTS)) \
+	tests/config/test_settings.py::test_defaults_are_the_limits_defaults
 
 # Without bytecode on the disk every start compiles a thousand files anew: seconds of the app's, minutes of the tests'.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup models demo test coverage soak trace px4 check bench lock clean
+.PHONY: help setup models demo test coverage soak trace px4 check bench lock clean mutate
 
 help:
-	@sed -n '2,7s/^# *//p' Makefile
+	@sed -n '2,8s/^# *//p' Makefile
 
 setup: .venv/stamp-installed
 
@@ -62,6 +67,11 @@ coverage: setup
 	@$(BIN)/python -m coverage run -m pytest -q $(PURE_TESTS)
 	@$(BIN)/python -m coverage combine -q
 	@$(BIN)/python -m coverage report
+
+# What survives without a reason is named. MUTATE: --only safety/planner.py, say, or --sample 300 --seed 1; --page writes docs/mutation.md.
+MUTATE ?=
+mutate: setup
+	@nice $(BIN)/python -W ignore -m tests.mutation $(MUTATE) $(MUTATION_TESTS)
 
 soak: models
 	@M3R_SOAK=1 $(BIN)/python -m pytest --timeout 3600

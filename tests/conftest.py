@@ -40,6 +40,7 @@ PURE = (
     "m3r_app/test_replay.py",
     "m3r_app/test_properties.py",
     "test_flights.py",
+    "test_golden.py",
     "soak",  # what is unsafe once is unsafe
 )
 AGAIN = 2

@@ -19,7 +19,7 @@ from m3r_app.output import Notice
 from safety.limits import Limits
 from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, VehicleState, Verdict
 from tests.m3r_app.tabletop import Tabletop
-from tests.m3r_app.test_arbiter import ball, flying, held, pairing, settling, wall_at
+from tests.m3r_app.test_arbiter import ball, facing, flying, held, pairing, settling, wall_at
 
 
 def test_an_impossible_transition_is_an_effect() -> None:
@@ -237,3 +237,74 @@ def test_a_move_and_its_way_back_that_were_missed_are_no_walk() -> None:
     table.wait(5.0)
     assert len(table.motions("aborted")) >= 2
     assert table.state.session is not None
+
+
+# ---------------------------------------------------------------- where a maneuver is over
+
+
+def over(
+    command: Command = Command.GO_LEFT, *, off_m: float = 0.0, off_deg: float = 0.0, late_s: float = 1.0
+) -> Tabletop:
+    """At rest late_s after the move's time is over, this far off its goal and its heading."""
+    table = Tabletop().paired()
+    table.ask(command)
+    flight = table.state.flight
+    assert flight is not None
+    plan = flight.plan
+    table.until(lambda: table.now_s - flight.started_at_s >= plan.duration_s - 0.05, 60.0)
+    table.plan = None
+    table.position = plan.goal.plus(Ned(0.0, 0.0, -off_m))
+    table.yaw_deg = plan.yaw_deg(plan.duration_s) + off_deg
+    return table.wait(late_s)
+
+
+@pytest.mark.requirement("R8")
+@pytest.mark.parametrize(
+    ("off_m", "off_deg", "late_s", "done"),
+    [
+        (0.0, 0.0, 1.0, True),
+        (0.09, 4.0, 1.0, True),
+        (0.12, 0.0, 1.0, False),  # off the goal, but within the tube: only after lingering
+        (0.28, 0.0, 1.5, False),
+        (0.28, 0.0, 3.0, True),
+        (0.0, 6.0, 1.0, False),
+        (0.0, -6.0, 3.0, False),
+    ],
+)
+def test_a_move_is_done_at_its_goal_facing_as_planned(off_m: float, off_deg: float, late_s: float, done: bool) -> None:
+    """Within 0.1 m and 5 degrees; 2 s later within the tube of 0.3 m."""
+    table = over(off_m=off_m, off_deg=off_deg, late_s=late_s)
+    assert (len(table.motions("completed")) == 1) == done
+    assert (table.state.state is State.ARMED) == done
+    assert table.motions("aborted") == []
+
+
+def test_a_move_begins_where_it_stands_and_unmeasured() -> None:
+    table = Tabletop().paired()
+    table.ask(Command.GO_LEFT)
+    (started,) = table.motions("started")
+    assert tuple(started["displacement_enu_m"]) == (0.0, 0.0, 0.0)
+    assert started["yaw_deg"] == 0.0 and started["max_speed_m_s"] == 0.0
+    assert started["min_clearance_m"] is started["min_separation_m"] is None
+
+
+@pytest.mark.requirement("X7")
+@pytest.mark.parametrize(("gap_s", "dropped"), [(0.45, False), (0.55, True)])
+def test_the_news_that_ends_a_gap_drops_what_is_flown(gap_s: float, dropped: bool) -> None:
+    """No tick in between has told of the gap."""
+    table = flying()
+    table.now_s += gap_s
+    table.move()
+    table.tell()
+    assert (table.state.flight is None) == dropped
+    assert (table.state.state is State.SETTLING) == dropped
+
+
+@pytest.mark.requirement("X4")
+def test_a_pairing_refused_while_facing_leaves_nothing_behind() -> None:
+    table = facing()
+    assert table.state.session is not None
+    table.ask(Command.STOP)
+    state = table.state
+    assert (state.session, state.pairing, state.vehicle, state.authority) == (None, None, None, False)
+    assert table.log.count(LetGo("hold")) == 1

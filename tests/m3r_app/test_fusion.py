@@ -91,3 +91,13 @@ def test_what_nobody_was_sure_of_contradicts_nobody() -> None:
         made(Command.GO_LEFT, Modality.PANEL, 10.3, name="b"), recent, 1.0, lambda r: r.command is not Command.GO_UP
     )
     assert relation is Relation.NEW
+
+
+@pytest.mark.requirement("X5")
+def test_doubt_contradicts_nobody() -> None:
+    """What its own modality is not sure of vetoes nothing, however sure the other was."""
+    recent = (Remembered(made(Command.GO_UP, GESTURE, 10.0)),)
+    relation, other = relate(
+        made(Command.GO_LEFT, Modality.PANEL, 10.3, 0.2, "b"), recent, 1.0, lambda r: r.confidence >= 0.5
+    )
+    assert (relation, other) == (Relation.NEW, None)

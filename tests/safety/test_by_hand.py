@@ -145,6 +145,17 @@ def test_margins_over_flat_ground_by_hand(up_m: float) -> None:
     assert number(agl(point(0.0, 0.0, up_m), about, LIMITS)) == pytest.approx(up_m - 2.0 - 0.3 - 0.2 - 0.8)
 
 
+@pytest.mark.requirement("G5", "X6")
+@pytest.mark.parametrize(("north", "known"), [(39.69, True), (39.71, False), (0.31, True), (0.29, False)])
+def test_a_height_is_known_where_the_ground_is_known_as_far_as_the_error(north: float, known: bool) -> None:
+    """The model ends at 0 m and 40 m; the drone may be 0.3 m off."""
+    grid = Terrain(np.zeros((5, 4)), (0.0, 0.0), ((10.0, 0.0), (0.0, 10.0)), 0.0, 0.0)
+    about = seen(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), world=world(terrain=grid))
+    found = agl(point(north, 15.0, 30.0), about, LIMITS)
+    assert (found.margin is not None) == known
+    assert found.passed == known
+
+
 # ---------------------------------------------------------------- the least of several
 
 

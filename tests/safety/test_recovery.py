@@ -14,11 +14,13 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from safety.findings import mends
 from safety.geofence import Geofence
 from safety.limits import Limits
 from safety.monitor import Baseline, Watch, stopping_path, watch
 from safety.obstacles import Obstacles
 from safety.planner import POINTS_MOST, plan_return, plan_translation, swept
+from safety.separation import separation
 from safety.situation import Situation, World
 from safety.spatial import agl
 from safety.supervisor import decide, interpret
@@ -333,3 +335,35 @@ def test_what_is_approved_the_authority_does_not_deny(
 
 def test_the_world_may_be_empty() -> None:
     assert ask(Command.GO_UP, scene(world=World(None, Obstacles.none(), None))).verdict is Verdict.REJECTED
+
+
+# ---------------------------------------------------------------- what mends, by the distances themselves
+
+
+@pytest.mark.requirement("X13")
+@pytest.mark.parametrize(
+    ("first_m", "rises", "passed"),
+    [(-0.01, 2.0, True), (-0.01, -0.5, False), (0.5, 1.0, False), (0.0, 1.0, False), (-0.5, 0.0, True)],
+)
+def test_only_what_is_broken_at_the_start_and_never_falls_mends(first_m: float, rises: float, passed: bool) -> None:
+    """Along a metre northwards the margin rises by so much a metre."""
+    path = straight(START.plus(Ned(1.0, 0.0, 0.0)))
+    assert mends(path, lambda points: first_m + rises * points[:, 0]) == passed
+
+
+@pytest.mark.requirement("X13")
+def test_of_a_place_that_may_be_anywhere_about_none_may_sink() -> None:
+    """Two places: the lower rises all the while, the higher sinks below zero."""
+    path = straight(START.plus(Ned(1.0, 0.0, 0.0)))
+    assert mends(path, lambda p: np.stack((-1.0 + 0.3 * p[:, 0], 0.6 - 0.1 * p[:, 0]), axis=1))
+    assert not mends(path, lambda p: np.stack((-1.0 + 0.3 * p[:, 0], 0.05 - 0.1 * p[:, 0]), axis=1))
+
+
+@pytest.mark.requirement("R6", "X13")
+@pytest.mark.parametrize(("off_m", "passed"), [(3.32, False), (3.28, True), (3.36, True)])
+def test_who_is_near_enough_at_the_start_may_not_come_too_near(off_m: float, passed: bool) -> None:
+    """3.3 m are required; the path comes 4 cm nearer, less than counts for one who is too near already."""
+    blue = ("blue", START.plus(Ned(0.0, off_m, 0.0)), Ned(0.0, 0.0, 0.0), 0.0, NOW_S)
+    path = straight(START.plus(Ned(0.0, 0.04, 0.0)), n=2)
+    about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(blue))
+    assert separation(path, about, LIMITS).passed == passed
