@@ -141,7 +141,8 @@ class Voice:
 
         from modalities.models.catalogue import find_model
         from modalities.voice.audio import quiet, read_audio
-        from modalities.voice.decoder import Recognizer, load_model
+        from modalities.voice.decoder import load_model
+        from modalities.voice.in_noise import denoiser_here, listener
         from modalities.voice.microphone import Microphone
         from modalities.voice.phrases import PhraseTable
 
@@ -152,7 +153,8 @@ class Voice:
         if isinstance(source, Path):
             self._samples = np.concatenate([read_audio(source), quiet(TAIL_S)])
         found = find_model()
-        self._recognizer = Recognizer(load_model(found.folder), PhraseTable(colours))
+        denoiser, denoising = denoiser_here()
+        self._recognizer = listener(load_model(found.folder), PhraseTable(colours), denoiser)
         self.model = found.name
         if isinstance(source, LiveMicrophone):
             self._microphone = Microphone(source.name, clock=clock, say=say, talking=talking)
@@ -160,6 +162,7 @@ class Voice:
         missing = self._recognizer.missing_words
         self.sentences = (
             found.sentence,
+            denoising,
             *([self._microphone.sentence] if self._microphone is not None else []),
             *([f"the voice model lacks {', '.join(missing)}: phrases with them cannot be heard"] if missing else []),
         )
@@ -185,6 +188,7 @@ class Voice:
             on_request=lambda request: _post(loop, sink, request),
             on_partial=lambda words: _post(loop, senses.words, words),
             on_level=lambda level: _post(loop, senses.level_dbfs, level),
+            on_warning=self._say,
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             self_speech=self._self_speech,
             on_dropped=dropped,

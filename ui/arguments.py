@@ -270,13 +270,16 @@ def _add_check(commands: Any) -> None:
 def _add_models(commands: Any) -> None:
     models = _add(commands, "models", "list or fetch the models for voice and hands")
     models.add_argument("action", choices=("list", "fetch"))
-    models.add_argument("kind", nargs="?", choices=("voice", "hands"), help="only this one")
+    models.add_argument("kind", nargs="?", choices=("voice", "hands", "denoiser"), help="only this one")
 
 
 def _add_evaluate(commands: Any) -> None:
     evaluate = _add(commands, "evaluate", "measure recognition on a folder of recordings; prints JSON")
     evaluate.add_argument("what", choices=("voice", "hands"))
     evaluate.add_argument("folder", type=Path, metavar="DIR", help="one sub-folder per expected command")
+    evaluate.add_argument(
+        "--snr", type=float, metavar="DB", help="voice: with the noise of a drone nearby, this far below the voice"
+    )
     _add_settings(evaluate)
 
 

@@ -231,7 +231,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from config.settings import load_settings
     from ui.models import evaluate
 
-    evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture)
+    evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture, snr_db=options.snr)
     return ExitStatus.ENDED
 
 

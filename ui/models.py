@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TransferSpeedColumn
 
-from modalities.models.catalogue import HandModel, ModelError, VoiceModel, find_hand_model, find_model, list_models
+from modalities.models.catalogue import (
+    DenoiserModel,
+    HandModel,
+    ModelError,
+    VoiceModel,
+    find_denoiser,
+    find_hand_model,
+    find_model,
+    list_models,
+)
 from modalities.models.sources import ModelKind
 
 if TYPE_CHECKING:
@@ -20,17 +29,25 @@ if TYPE_CHECKING:
     from config.settings import Gesture
 
     Model = VoiceModel | HandModel
+    Look = Callable[[], list[VoiceModel] | list[HandModel] | list[DenoiserModel]]
+
+
+OPTIONAL = frozenset({ModelKind.DENOISER})
+"""Without it everything works, some of it less well: told, and no error unless it was asked for by name."""
 
 
 def show_models(kind: str | None = None) -> list[ModelError]:
     """One line per model, of each kind the one in use first. kind: only these. Returns what is missing."""
     missing: list[ModelError] = []
-    for look in _looks(kind):
+    for name, look in _looks(kind).items():
         try:
             for model in look():
                 print(model.sentence)
         except ModelError as error:
-            missing.append(error)
+            if kind is None and name in OPTIONAL:
+                print(error)
+            else:
+                missing.append(error)
     return missing
 
 
@@ -39,15 +56,26 @@ def fetch(kind: str | None = None) -> list[ModelError]:
     be had.
     """
     console = Console(stderr=True)
-    return [error for one in ModelKind if kind in {None, one} for error in _had(one, console)]
+    missing: list[ModelError] = []
+    for one in ModelKind:
+        if kind not in {None, one}:
+            continue
+        errors = _had(one, console)
+        if kind is None and one in OPTIONAL:
+            for error in errors:
+                print(error)
+        else:
+            missing += errors
+    return missing
 
 
-def _looks(kind: str | None) -> list[Callable[[], list[VoiceModel] | list[HandModel]]]:
-    looks: dict[ModelKind, Callable[[], list[VoiceModel] | list[HandModel]]] = {
+def _looks(kind: str | None) -> dict[ModelKind, Look]:
+    looks: dict[ModelKind, Look] = {
         ModelKind.VOICE: lambda: [find_model(), *list_models()[1:]],
         ModelKind.HANDS: lambda: [find_hand_model()],
+        ModelKind.DENOISER: lambda: [find_denoiser()],
     }
-    return [look for name, look in looks.items() if kind in {None, name}]
+    return {name: look for name, look in looks.items() if kind in {None, name}}
 
 
 def _had(kind: ModelKind, console: Console) -> list[ModelError]:
@@ -72,7 +100,7 @@ def _had(kind: ModelKind, console: Console) -> list[ModelError]:
     return []
 
 
-def evaluate(what: str, folder: Path, gesture: Gesture) -> None:
+def evaluate(what: str, folder: Path, gesture: Gesture, *, snr_db: float | None = None) -> None:
     """Recognition of voice or hands on a folder of recordings, as one JSON object on standard output."""
     console = Console(stderr=True)
     columns = TextColumn("recordings"), BarColumn(), MofNCompleteColumn()
@@ -87,7 +115,7 @@ def evaluate(what: str, folder: Path, gesture: Gesture) -> None:
         if isinstance(model, VoiceModel):
             from modalities.voice.evaluation import evaluate_voice
 
-            result = evaluate_voice(folder, model, progress=show)
+            result = evaluate_voice(folder, model, snr_db=snr_db, progress=show)
         else:
             from modalities.hands.evaluation import evaluate_hands
 

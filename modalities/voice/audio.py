@@ -11,21 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import soundfile
 import soxr
 from numpy.typing import NDArray
+
+from modalities.voice.audio_file import AudioError, decoded
+from modalities.voice.channels import mixed
+
+__all__ = ["CHUNK_SAMPLES", "SAMPLE_RATE_HZ", "AudioError", "Chunk", "Gap", "Samples", "chunks", "quiet", "read_audio"]
 
 SAMPLE_RATE_HZ = 16_000
 CHUNK_SAMPLES = 800
 """50 ms: how often partial results are looked at."""
-LOWEST_RATE_HZ = 8000
-LONGEST_FILE_S = 4 * 3600.0
 
 Samples = NDArray[np.int16]
-
-
-class AudioError(ValueError):
-    """An audio file that cannot be used; one sentence that names it and says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,34 +46,15 @@ class Gap:
 
 
 def read_audio(path: Path | str) -> Samples:
-    """The whole file as 16 kHz mono 16-bit, its channels mixed. Any format that libsndfile reads, any rate.
+    """The whole file as 16 kHz mono 16-bit, the better of its channels or their mix. Any format that libsndfile or FFmpeg
+    reads, any rate.
 
     Raises AudioError if it is missing, empty, longer than LONGEST_FILE_S, or no audio.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise AudioError(f"{path} is a folder: name one audio file")
-    if not path.is_file():
-        raise AudioError(f"audio file {path} does not exist: check its name")
-    try:
-        with soundfile.SoundFile(path) as file:
-            if file.frames > LONGEST_FILE_S * file.samplerate:
-                raise AudioError(f"audio file {path} is longer than {LONGEST_FILE_S / 3600:.0f} hours: cut it")
-            rate_hz = int(file.samplerate)
-            if rate_hz < LOWEST_RATE_HZ:
-                raise AudioError(
-                    f"audio file {path} has {rate_hz} samples a second, too few for speech: record it again"
-                )
-            data = file.read(dtype="float32", always_2d=True)
-    except (soundfile.SoundFileError, OSError, RuntimeError) as error:
-        raise AudioError(f"audio file {path} cannot be read as audio: give a wav, flac, ogg or mp3 file") from error
-    mono = data.mean(axis=1, dtype=np.float32)
-    if mono.size == 0:
-        raise AudioError(f"audio file {path} is empty: give a recording that contains sound")
-    if not np.isfinite(mono).all():
-        raise AudioError(f"audio file {path} holds samples that are not numbers: record or convert it again")
-    if rate_hz != SAMPLE_RATE_HZ:
-        mono = soxr.resample(mono, rate_hz, SAMPLE_RATE_HZ)
+    sound = decoded(Path(path))
+    mono = mixed(sound.data, sound.rate_hz)
+    if sound.rate_hz != SAMPLE_RATE_HZ:
+        mono = soxr.resample(mono, sound.rate_hz, SAMPLE_RATE_HZ)
     samples: Samples = np.clip(np.rint(mono * 32768.0), -32768, 32767).astype(np.int16)
     return samples
 

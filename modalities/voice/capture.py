@@ -12,17 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import soxr
-from numpy.typing import NDArray
 
 from modalities.voice.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, Chunk, Samples
+from modalities.voice.channels import LiveMix
 
 ORIGIN_WINDOW_S = 2.0
 LONGEST_AGE_S = 1.0
 """A block said to be older than this on arrival is one whose age is not known: some drivers state nonsense."""
 FLOOR_DBFS = -100.0
 """What is quieter counts as this: digital silence."""
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +69,7 @@ class Converter:
         self._channels = channels
         self._chunk_samples = chunk_samples
         self._clock = CaptureClock(rate_hz)
+        self._mix = LiveMix(rate_hz)
         self._resampler = (
             soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32") if rate_hz != SAMPLE_RATE_HZ else None
         )
@@ -84,7 +83,7 @@ class Converter:
         if not len(frames):
             return []
         self._clock.accept(len(frames), block.arrived_s, block.age_s)
-        mono: Floats = frames.mean(axis=1, dtype=np.float32)
+        mono = self._mix.accept(frames.astype(np.float32))
         if not block.open:
             mono = np.zeros_like(mono)
         if self._resampler is not None:

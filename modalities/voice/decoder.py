@@ -17,6 +17,7 @@ import numpy as np
 from modalities.models.catalogue import ModelError
 from modalities.voice.audio import SAMPLE_RATE_HZ, Chunk, Gap, Samples, quiet
 from modalities.voice.barge_in import BargeIn
+from modalities.voice.gain import SlowGain
 from modalities.voice.phrases import OTHER_WORDS, STOP_RIVALS, STOP_WORD, Phrase, PhraseTable, contains_stop, normalise
 from modalities.voice.vad import VoiceActivityDetector
 from modalities.voice.vosk_library import KaldiRecognizer, Model, SetLogLevel
@@ -139,6 +140,7 @@ class Recognizer:
         self._apart = Decoder(model, (*phrases, *rivals, *unknown))
         self._barge_in = BargeIn(self._stop_apart)
         self._words = Decoder(model, (*phrases, *single, *unknown))
+        self._gain = SlowGain()
         self._voice = VoiceActivityDetector()
         self._hole_s = -math.inf
         self._began_s: float
@@ -158,6 +160,7 @@ class Recognizer:
 
         self_speech: the app itself is speaking, through which STOP must be heard.
         """
+        chunk = replace(chunk, samples=self._gain.accept(chunk.samples))
         now_s = chunk.captured_at_s
         before = self._commands.partial
         self._voice.accept(chunk.samples, now_s)

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterable
 from modalities.threaded_stream import ThreadedStream
 from modalities.voice.audio import Chunk, Gap
 from modalities.voice.capture import level_dbfs
-from modalities.voice.decoder import Heard, Recognizer
+from modalities.voice.decoder import Heard
+from modalities.voice.in_noise import Listener
 from modalities.voice.self_speech import SelfSpeech
+from modalities.voice.sound_check import SoundCheck
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 Clock = Callable[[], float]
@@ -24,19 +26,20 @@ class VoiceStream(ThreadedStream):
     def __init__(
         self,
         chunks: Iterable[Chunk | Gap],
-        recognizer: Recognizer,
+        recognizer: Listener,
         *,
         clock: Clock,
         began_s: float,
         on_request: Callable[[ManeuverRequest], None],
         on_partial: Callable[[str], None] = lambda _text: None,
         on_level: Callable[[float], None] = lambda _level_dbfs: None,
+        on_warning: Callable[[str], None] = lambda _sentence: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         self_speech: SelfSpeech | None = None,
         on_dropped: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change.
-        on_level: how loud each chunk is, in dB below full scale. on_end: called last,
+        on_level: how loud each chunk is, in dB below full scale. on_warning: what is wrong with the sound, each once. on_end: called last,
         once, with the error that ended the stream, or None where the recording was played or `stop` was called.
 
         self_speech: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
@@ -50,6 +53,8 @@ class VoiceStream(ThreadedStream):
         self._on_request = on_request
         self._on_partial = on_partial
         self._on_level = on_level
+        self._on_warning = on_warning
+        self._check = SoundCheck()
         self._self_speech = self_speech
         self._on_dropped = on_dropped
         self._made = 0
@@ -65,6 +70,8 @@ class VoiceStream(ThreadedStream):
                 self._recognizer.gap(chunk)
             else:
                 self._on_level(level_dbfs(chunk.samples))
+                for warning in self._check.accept(chunk.samples):
+                    self._on_warning(warning)
                 self._hand_over(self._recognizer.accept(chunk, self_speech=self._speaks(heard_s, heard_s)))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 import soundfile
@@ -37,6 +38,72 @@ def test_compressed_files(tmp_path: Path, suffix: str, options: dict[str, str]) 
     soundfile.write(path, tone(48_000, 1.0), 48_000, **options)
     samples = read_audio(path)
     assert samples[4000:-4000].astype(float).std() / 32768.0 == pytest.approx(0.25 / np.sqrt(2), rel=0.1)
+
+
+def encoded(path: Path, codec: str, rate_hz: int) -> None:
+    """A second of a tone, by the FFmpeg libraries."""
+    pcm = av.AudioFrame.from_ndarray((tone(16_000, 1.0)[None] * 32767).astype(np.int16), format="s16", layout="mono")
+    pcm.sample_rate = 16_000
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=rate_hz, layout="mono")
+        convert = av.AudioResampler(format=stream.codec_context.format, layout="mono", rate=rate_hz)
+        for frame in (*convert.resample(pcm), *convert.resample(None)):
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "rate_hz"),
+    [("a.m4a", "aac", 16_000), ("a.3gp", "aac", 16_000), ("a.webm", "libopus", 48_000), ("a.mov", "aac", 44_100)],
+)
+def test_what_telephones_record_is_played(tmp_path: Path, name: str, codec: str, rate_hz: int) -> None:
+    encoded(tmp_path / name, codec, rate_hz)
+    samples = read_audio(tmp_path / name)
+    assert len(samples) == pytest.approx(SAMPLE_RATE_HZ, abs=2200)
+    assert samples[4000:-4000].astype(float).std() / 32768.0 == pytest.approx(0.25 / np.sqrt(2), rel=0.1)
+
+
+def test_a_gsm_wav_is_played(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "gsm.wav", tone(8_000, 1.0), 8_000, subtype="GSM610")
+    samples = read_audio(tmp_path / "gsm.wav")
+    assert samples.astype(float).std() / 32768.0 == pytest.approx(0.25 / np.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize("stated_bytes", [0, 0xFFFFFFFF])
+def test_a_wav_whose_recorder_was_cut_off_is_played_whole(tmp_path: Path, stated_bytes: int) -> None:
+    path = tmp_path / "cut.wav"
+    soundfile.write(path, tone(16_000, 1.0), 16_000)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"data") + 4
+    content[at : at + 4] = stated_bytes.to_bytes(4, "little")
+    path.write_bytes(content)
+    assert len(read_audio(path)) == SAMPLE_RATE_HZ
+
+
+def test_a_right_channel_in_opposite_phase_takes_nothing_away(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.wav"
+    left = np.concatenate([np.zeros(4000), tone(16_000), np.zeros(4000)])
+    soundfile.write(path, np.stack([left, -left], axis=1), SAMPLE_RATE_HZ)
+    assert np.allclose(read_audio(path), left * 32768, atol=1)
+
+
+def test_the_channel_that_holds_the_voice_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "stereo.wav"
+    voice = np.concatenate([np.zeros(4000), tone(16_000), np.zeros(4000)])
+    noise = np.random.default_rng(3).normal(0.0, 0.1, len(voice))
+    soundfile.write(path, np.stack([noise, voice], axis=1), SAMPLE_RATE_HZ)
+    assert np.allclose(read_audio(path), voice * 32768, atol=1)
+
+
+def test_a_video_without_sound_is_named_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "mute.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))))
+        container.mux(stream.encode(None))
+    with pytest.raises(AudioError, match="holds no sound"):
+        read_audio(path)
 
 
 def test_stereo_is_mixed(tmp_path: Path) -> None:

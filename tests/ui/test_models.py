@@ -80,10 +80,15 @@ def test_a_hand_model_that_is_there_is_named(model: Path, capsys: pytest.Capture
     with zipfile.ZipFile(path, "w") as bundle:
         for part in voice_models._HAND_PARTS:
             bundle.writestr(part, b"x")
+    (model.parent / voice_models.DENOISER_NAME).write_bytes(b"x")
     for action in ("list", "fetch"):
         assert cli.main(["models", action]) == 0
         out, err = capsys.readouterr()
-        assert [line.split()[:2] for line in out.splitlines()] == [["voice", "model"], ["hand", "model"]]
+        assert [line.split()[:2] for line in out.splitlines()] == [
+            ["voice", "model"],
+            ["hand", "model"],
+            ["denoiser", "gtcrn_simple"],
+        ]
         assert err == ""
     path.write_bytes(path.read_bytes()[:-30])
     assert cli.main(["models", "list", "hands"]) == 2
@@ -124,3 +129,12 @@ def test_hands_are_evaluated_with_the_settings_they_are_flown_with(
     assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirrored=true"]) == 0
     assert json.loads(capsys.readouterr().out)["commands"]["go_left"]["right"] == 1
     assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirored=true"]) == 2
+
+
+def test_a_denoiser_that_is_missing_is_told_and_no_error(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with zipfile.ZipFile(model.parent / voice_models.HAND_MODEL_NAME, "w") as bundle:
+        for part in voice_models._HAND_PARTS:
+            bundle.writestr(part, b"x")
+    assert cli.main(["models", "list"]) == 0
+    assert "there is no denoiser on this machine" in capsys.readouterr().out
+    assert cli.main(["models", "list", "denoiser"]) == 2
