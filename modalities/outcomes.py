@@ -1,12 +1,14 @@
 """What recordings asked for beside what they should have: recall, false requests and latency per command. Pure.
 
-A recording lies in a folder named after the command that it holds; in any other folder it holds none. Design, contract of
-`m3r evaluate`.
+A recording lies in a folder named after the command that it holds; in a folder of NEGATIVES, or one that was declared to be, it
+holds none. Any other name is a mistake ("go left"). Design, contract of `m3r evaluate`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import shlex
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -17,6 +19,8 @@ from safety.vocabulary import Command
 
 DEFAULT_THRESHOLD = 0.7
 NEGLIGIBLE_RECALL = 0.01
+NEGATIVES = ("none", "noise", "conversation")
+"""Folders of recordings without a command."""
 _THRESHOLDS = tuple(round(0.05 * i, 2) for i in range(2, 20))
 
 
@@ -31,6 +35,8 @@ class Candidate(Protocol):
     def command(self) -> Command: ...
     @property
     def confidence(self) -> float: ...
+    @property
+    def text(self) -> str: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +49,12 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One recording. expected: None where it holds no command."""
+    """One recording. expected: None where it holds no command; name: the file's."""
 
     folder: str
     expected: Command | None
     answers: tuple[Answer, ...]
+    name: str = ""
 
     def requests(self, threshold: float) -> list[Answer]:
         """What counts as requested: STOP at any confidence (design 3), the rest from the threshold on."""
@@ -59,8 +66,10 @@ def expected_of(folder: str) -> Command | None:
     return Command(folder) if folder in set(Command) else None
 
 
-def recordings_in(folder: Path) -> list[tuple[str, Path]]:
-    """Sub-folder name and path of every recording. Raises EvaluationError if there is none."""
+def recordings_in(folder: Path, negatives: Collection[str] = ()) -> list[tuple[str, Path]]:
+    """Sub-folder name and path of every recording. negatives: more names of folders without a command. Raises EvaluationError if
+    there is none, or a sub-folder's name means nothing.
+    """
     if not folder.is_dir():
         raise EvaluationError(f"{folder} is no folder: name one with a sub-folder of recordings per command")
     found = [
@@ -72,10 +81,20 @@ def recordings_in(folder: Path) -> list[tuple[str, Path]]:
     ]
     if not found:
         raise EvaluationError(f"{folder} has no sub-folder with recordings: make one per command, such as go_left")
+    for name in dict.fromkeys(name for name, _ in found):
+        if expected_of(name) is None and name not in {*NEGATIVES, *negatives}:
+            near = difflib.get_close_matches(name.lower().replace(" ", "_"), [c.value for c in Command], n=1)
+            meant = f"did you mean {near[0]}? " if near else ""
+            raise EvaluationError(
+                f"{folder / name} is named after no command: {meant}name it after one, or declare it with --negative {shlex.quote(name)} "
+                "where nothing in it is a request"
+            )
     return found
 
 
-def choose_threshold(trials: Sequence[Trial], tolerated_false: float) -> float:
+def choose_threshold(
+    trials: Sequence[Trial], tolerated_false: float, thresholds: Sequence[float] = _THRESHOLDS
+) -> float:
     """The threshold nearest to the default among those that keep false requests tolerable and lose no more than
     NEGLIGIBLE_RECALL of what the best of these understands. Where false requests are too many at each: where they are fewest.
     tolerated_false: what share of the recordings without a command may become a request.
@@ -83,8 +102,8 @@ def choose_threshold(trials: Sequence[Trial], tolerated_false: float) -> float:
     empty = [trial for trial in trials if trial.expected is None]
     asked = [trial for trial in trials if trial.expected is not None]
     tolerated = int(tolerated_false * len(empty))
-    false = {t: max(tolerated, sum(_false_move(trial, t) for trial in empty)) for t in _THRESHOLDS}
-    fewest = [t for t in _THRESHOLDS if false[t] == min(false.values())]
+    false = {t: max(tolerated, sum(false_move(trial, t) for trial in empty)) for t in thresholds}
+    fewest = [t for t in thresholds if false[t] == min(false.values())]
     right = {t: sum(outcome(trial, t) == "right" for trial in asked) for t in fewest}
     enough = max(right.values()) - NEGLIGIBLE_RECALL * len(asked)
     return min((t for t in fewest if right[t] >= enough), key=lambda t: abs(t - DEFAULT_THRESHOLD))
@@ -145,7 +164,8 @@ def _of_command(command: Command, trials: Sequence[Trial], threshold: float) -> 
     }
 
 
-def _false_move(trial: Trial, threshold: float) -> bool:
+def false_move(trial: Trial, threshold: float) -> bool:
+    """Whether anything but STOP was requested."""
     return any(answer.heard.command is not Command.STOP for answer in trial.requests(threshold))
 
 
@@ -157,6 +177,6 @@ def _false(trials: Sequence[Trial], threshold: float) -> dict[str, object]:
     """Recordings, and how many of them became a move (or any other request but STOP) and a STOP."""
     return {
         "n": len(trials),
-        "false_moves": sum(_false_move(trial, threshold) for trial in trials),
+        "false_moves": sum(false_move(trial, threshold) for trial in trials),
         "false_stops": sum(_false_stop(trial) for trial in trials),
     }

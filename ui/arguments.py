@@ -280,6 +280,18 @@ def _add_evaluate(commands: Any) -> None:
     evaluate.add_argument(
         "--snr", type=float, metavar="DB", help="voice: with the noise of a drone nearby, this far below the voice"
     )
+    evaluate.add_argument(
+        "--negative",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a sub-folder in which nothing is a request, beside none, noise and conversation",
+    )
+    evaluate.add_argument(
+        "--calibrate", action="store_true", help="every recording, and what each threshold of confidence would do"
+    )
+    evaluate.add_argument("--out", type=Path, metavar="FILE", help="with --calibrate: the settings, for --config")
+    evaluate.add_argument("--json", action="store_true", help="JSON on a terminal too")
     _add_settings(evaluate)
 
 

@@ -229,9 +229,18 @@ def _run_models(options: argparse.Namespace) -> int:
 
 def _run_evaluate(options: argparse.Namespace) -> int:
     from config.settings import load_settings
-    from ui.models import evaluate
+    from ui.evaluate import Wanted, evaluate
 
-    evaluate(options.what, options.folder, load_settings(options.config, options.set).gesture, snr_db=options.snr)
+    wanted = Wanted(
+        options.what,
+        options.folder,
+        tuple(options.negative),
+        options.snr,
+        calibrate=options.calibrate,
+        out=options.out,
+        as_json=options.json,
+    )
+    evaluate(wanted, load_settings(options.config, options.set).gesture)
     return ExitStatus.ENDED
 
 

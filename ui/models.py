@@ -1,14 +1,12 @@
-"""`m3r models` and `m3r evaluate`: what they print. Progress and sentences go to standard error."""
+"""`m3r models`: what it prints. Progress and sentences go to standard error."""
 
 from __future__ import annotations
 
-import json
-import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TransferSpeedColumn
+from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
 from modalities.models.catalogue import (
     DenoiserModel,
@@ -24,9 +22,6 @@ from modalities.models.sources import ModelKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
-
-    from config.settings import Gesture
 
     Model = VoiceModel | HandModel
     Look = Callable[[], list[VoiceModel] | list[HandModel] | list[DenoiserModel]]
@@ -98,26 +93,3 @@ def _had(kind: ModelKind, console: Console) -> list[ModelError]:
             return [error]
     print(model.sentence if fetched else f"{model.sentence} (nothing to fetch)")
     return []
-
-
-def evaluate(what: str, folder: Path, gesture: Gesture, *, snr_db: float | None = None) -> None:
-    """Recognition of voice or hands on a folder of recordings, as one JSON object on standard output."""
-    console = Console(stderr=True)
-    columns = TextColumn("recordings"), BarColumn(), MofNCompleteColumn()
-    model: Model = find_model() if what == ModelKind.VOICE else find_hand_model()
-    console.print(model.sentence, markup=False, highlight=False, soft_wrap=True)
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("")
-
-        def show(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
-        if isinstance(model, VoiceModel):
-            from modalities.voice.evaluation import evaluate_voice
-
-            result = evaluate_voice(folder, model, snr_db=snr_db, progress=show)
-        else:
-            from modalities.hands.evaluation import evaluate_hands
-
-            result = evaluate_hands(folder, model, hold_s=gesture.hold_s, mirrored=gesture.mirrored, progress=show)
-    print(json.dumps(result, allow_nan=False, indent=2 if sys.stdout.isatty() else None))

@@ -1,13 +1,14 @@
 """How well gestures are recognised on a folder of pictures or videos: how an operator calibrates.
 
-One sub-folder per expected command (`go_left`, `stop`, ...); what lies in any other sub-folder is no command. A still picture
+One sub-folder per expected command (`go_left`, `stop`, ...); what lies in `none`, or
+a sub-folder that is declared to be like it, is no command. A still picture
 is shown for the hold time; a video plays in its own time.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -44,14 +45,18 @@ def evaluate_hands(
     *,
     hold_s: float = HOLD_S,
     mirrored: bool = False,
+    negatives: Collection[str] = (),
+    take_trials: Callable[[Sequence[Trial]], None] = lambda _trials: None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, object]:
     """The contract's object for `m3r evaluate hands`: strict JSON, latencies in ms, null where there is nothing to tell.
 
+    negatives: more sub-folders without a command. take_trials: given
+    every recording with what was made of it.
     threshold: the confidence from which a request counts. progress: recordings done and in all. The detector
     forgets each recording before the next. Raises EvaluationError, VideoError or ModelError, which name what is wrong.
     """
-    recordings = recordings_in(Path(folder))
+    recordings = recordings_in(Path(folder), negatives)
     trials: list[Trial] = []
     no_hand = 0
     with HandDetector(model) as detector:
@@ -60,10 +65,15 @@ def evaluate_hands(
             detector.forget()
             answers, hand_seen = watch(frames_of(path, hold_s), detector, DwellFilter(hold_s), mirrored=mirrored)
             if hand_seen:
-                trials.append(Trial(name, expected_of(name), answers))
+                trials.append(Trial(name, expected_of(name), answers, path.name))
             else:
                 no_hand += 1
     progress(len(recordings), len(recordings))
+    if not trials:
+        raise EvaluationError(
+            f"no hand is seen in any of the {len(recordings)} recordings in {folder}: show it nearer and in more light"
+        )
+    take_trials(trials)
     return {
         "commands": of_commands(trials, threshold),
         "none": of_none(trials, threshold),

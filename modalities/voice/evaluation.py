@@ -1,13 +1,14 @@
 """How well voice is recognised on a folder of recordings: how an operator calibrates.
 
-One sub-folder per expected command (`go_left`, `stop`, ...); what lies in any other sub-folder is no command.
+One sub-folder per expected command (`go_left`, `stop`, ...); what lies in `none`, or
+a sub-folder that is declared to be like it, is no command.
 """
 
 from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -63,16 +64,20 @@ def evaluate_voice(
     threshold: float = DEFAULT_THRESHOLD,
     *,
     snr_db: float | None = None,
+    negatives: Collection[str] = (),
+    take_trials: Callable[[Sequence[Trial]], None] = lambda _trials: None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, object]:
     """The contract's object for `m3r evaluate voice`: strict JSON, latencies in ms, null where there is nothing to tell.
 
     threshold: the confidence from which a request counts. progress: recordings done and in all. Each recording is heard
     by a fresh recogniser and followed by 2 s of quiet. snr_db: each is heard in the noise of a drone nearby (seeded by its name), so
-    far below the voice, that goes on before and after it. Raises EvaluationError, AudioError or ModelError, which name what
+    far below the voice, that goes on before and after it.
+    negatives: more sub-folders without a command. take_trials: given
+    every recording with what was made of it. Raises EvaluationError, AudioError or ModelError, which name what
     is wrong.
     """
-    recordings = recordings_in(Path(folder))
+    recordings = recordings_in(Path(folder), negatives)
     loaded = load_model(model.folder)
     table = PhraseTable(colours)
     denoiser, _ = denoiser_here()
@@ -81,6 +86,7 @@ def evaluate_voice(
         progress(done, len(recordings))
         trials.append(_trial(name, path, loaded, table, denoiser, snr_db))
     progress(len(recordings), len(recordings))
+    take_trials(trials)
     return {
         "commands": of_commands(trials, threshold),
         "none": of_none(trials, threshold),
@@ -102,4 +108,4 @@ def _trial(
         samples = mixed_with(samples, snr_db, seed, around=(quiet(LEAD_S), quiet(PADDING_S)))
     if denoiser is not None:
         denoiser.forget()
-    return Trial(name, expected_of(name), hear(samples, listener(model, table, denoiser)))
+    return Trial(name, expected_of(name), hear(samples, listener(model, table, denoiser)), path.name)

@@ -191,7 +191,7 @@ def test_the_evaluation_counts_as_the_contract_says(tmp_path: Path, hand_model: 
         (tmp_path / folder).mkdir()
         cv2.imwrite(str(tmp_path / folder / "a.png"), still(begins[shown]))
     cv2.imwrite(str(tmp_path / "stop" / "empty.png"), still(0.0))
-    result = evaluate_hands(tmp_path, hand_model)
+    result = evaluate_hands(tmp_path, hand_model, negatives=["odd"])
     json.dumps(result, allow_nan=False)
     commands = result["commands"]
     assert isinstance(commands, dict)

@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 
 from config.demo.drawn_hand import GESTURES, centre_of, draw, wall
+from config.settings import load_settings
+from modalities.calibration import Sense, calibrate
+from modalities.hands.dwell import Held
 from modalities.models import catalogue as voice_models
 from modalities.models.catalogue import ModelError, find_hand_model
+from modalities.outcomes import Answer, Trial
+from safety.vocabulary import Command
 from ui import cli
+from ui.evaluate import show_calibration
 
 if TYPE_CHECKING:
     import json
@@ -114,21 +120,56 @@ def test_evaluating_a_missing_folder_names_it(model: Path, capsys: pytest.Captur
     assert "recordings" in err.splitlines()[-1]
 
 
-def test_hands_are_evaluated_with_the_settings_they_are_flown_with(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """A mirrored picture of somebody who points to their left."""
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A mirrored picture of somebody who points to their left, and a wall."""
     try:
         find_hand_model()
     except ModelError as error:
         pytest.skip(f"no hand model: {error}")
-    (tmp_path / "go_left").mkdir()
     room = wall(np.random.default_rng(7))
     pose = GESTURES["go_right"]
-    cv2.imwrite(str(tmp_path / "go_left" / "a.png"), draw(room, pose, centre_of(pose), -16.0))
-    assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirrored=true"]) == 0
-    assert json.loads(capsys.readouterr().out)["commands"]["go_left"]["right"] == 1
-    assert cli.main(["evaluate", "hands", str(tmp_path), "--set", "gesture.mirored=true"]) == 2
+    for name, picture in (("go_left", draw(room, pose, centre_of(pose), -16.0)), ("none", room)):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "a.png"), picture)
+    return tmp_path
+
+
+def test_hands_are_evaluated_with_the_settings_they_are_flown_with(
+    capsys: pytest.CaptureFixture[str], pictures: Path
+) -> None:
+    out = pictures.parent / f"{pictures.name}.toml"
+    mirrored = ["--set", "gesture.mirrored=true"]
+    assert cli.main(["evaluate", "hands", str(pictures), "--calibrate", "--out", str(out), *mirrored]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["commands"]["go_left"]["right"] == 1
+    assert [clip["outcome"] for clip in result["calibration"]["clips"]] == ["right"]
+    assert load_settings([out], []).confidence.confidence_gesture == result["calibration"]["threshold"]
+    assert cli.main(["evaluate", "hands", str(pictures), "--set", "gesture.mirored=true"]) == 2
+    assert cli.main(["evaluate", "hands", str(pictures), "--out", str(out)]) == 2
+    assert "give --calibrate too" in capsys.readouterr().err
+
+
+def test_recordings_in_which_nothing_is_seen_are_no_result(capsys: pytest.CaptureFixture[str], pictures: Path) -> None:
+    (pictures / "go_left" / "a.png").unlink()
+    assert cli.main(["evaluate", "hands", str(pictures)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "no hand is seen in any of the 1 recordings" in err
+
+
+def test_a_person_who_calibrates_at_a_terminal_reads_a_table(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = Held(Command.GO_LEFT, 0.91, 1.0, 0.5, "index finger left")
+    trials = [Trial("go_left", Command.GO_LEFT, (Answer(held, 0.1),), "a[1].png"), Trial("none", None, (), "b.png")]
+    monkeypatch.setenv("COLUMNS", "120")
+    show_calibration(calibrate(Sense.GESTURE, trials, 0.0), None)
+    out = capsys.readouterr().out
+    assert "a[1].png" in out
+    assert "index finger left 0.91" in out
+    assert "100.0 % (20.7 to 100.0)" in out
+    assert "confidence.confidence_gesture = 0.7:" in out
 
 
 def test_a_denoiser_that_is_missing_is_told_and_no_error(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
