@@ -263,6 +263,7 @@ class Hands:
             on_request=lambda request: _post(loop, sink, request),
             on_seen=lambda text: _post(loop, senses.shown, text),
             on_hands=lambda hands: _post(loop, senses.hands, hands),
+            on_warning=self._say,
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             hold=DwellFilter(self._settings.hold_s),
             mirrored=self._settings.mirrored,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from modalities.hands.video import Clock, Frame, Picture, VideoError
+from modalities.hands.video import Clock, Frame, Picture, VideoError, pixel_aspect, squared
 from modalities.notices import Say, SenseChange, nothing_said
 
 OPEN_TIMEOUT_S = 5.0
@@ -161,7 +161,9 @@ class Camera:
             readable, picture = capture.retrieve()
         except cv2.error:
             return None
-        return Frame(np.asarray(picture, np.uint8), captured_at_s) if readable and picture is not None else None
+        if not readable or picture is None:
+            return None
+        return Frame(squared(np.asarray(picture, np.uint8), pixel_aspect(capture)), captured_at_s)
 
     def _open(self) -> cv2.VideoCapture | None:
         try:

@@ -6,6 +6,7 @@ Design: 0.5 s, an open palm half of that; armed again only after the hand has ch
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from dataclasses import dataclass
 
@@ -17,10 +18,15 @@ STOP_HOLD_FACTOR = 0.5
 """An open palm stops after this share of the hold time."""
 LEAST_SHARE = 0.8
 """Of the frames in the hold time, how many must show the gesture (N of M)."""
-LEAST_FRAMES = 3
-LEAST_STOP_FRAMES = 2
+LEAST_FRAMES = 2
+"""That agree, however few there are in the hold time: what was seen once was not held."""
 LONGEST_GAP_S = 0.25
-"""A longer time without a frame ends the hold: what was not seen was not held."""
+USUAL_GAPS = 1.5
+"""A time without a frame that is longer than LONGEST_GAP_S and than so many of the usual ones ends the hold: what was not seen was not
+held. A slow camera's usual ones may be as long as the hold itself.
+"""
+INTERVALS = 7
+"""So many times between frames tell what is usual."""
 REARM_S = 0.3
 """How long frames must show something else before the same gesture counts again."""
 _ROUNDING_S = 1e-6
@@ -46,6 +52,7 @@ class DwellFilter:
             raise ValueError(f"a gesture cannot be held for {hold_s} s: give a positive time")
         self._hold_s = hold_s
         self._last_s = -math.inf
+        self._intervals_s: deque[float] = deque(maxlen=INTERVALS)
         self._frames: deque[tuple[float, Reading]] = deque()
         self._command: Command | None = None
         self._since_s = math.inf
@@ -55,11 +62,21 @@ class DwellFilter:
     def hold_for_s(self, command: Command) -> float:
         return self._hold_s * (STOP_HOLD_FACTOR if command is Command.STOP else 1.0)
 
+    @property
+    def rate_hz(self) -> float | None:
+        """How many frames a second there usually are; None: not yet known."""
+        return 1.0 / statistics.median(self._intervals_s) if len(self._intervals_s) == INTERVALS else None
+
+    @property
+    def slowest_hz(self) -> float:
+        """At fewer frames a second nothing can be held."""
+        return 1.0 / self._hold_s
+
     def accept(self, reading: Reading, captured_at_s: float) -> Held | None:
         """The next frame's reading; what it completes. A frame that is not newer than the last one is ignored."""
         if not (math.isfinite(captured_at_s) and captured_at_s > self._last_s):
             return None
-        if captured_at_s - self._last_s > LONGEST_GAP_S:
+        if self._is_gap(captured_at_s - self._last_s):
             self._begin(None, captured_at_s)
             self._changed_s = None  # nor was it seen that the hand changed
         self._last_s = captured_at_s
@@ -69,6 +86,12 @@ class DwellFilter:
         if command is None or command is self._spent:
             return None
         return self._completed(command, captured_at_s)
+
+    def _is_gap(self, interval_s: float) -> bool:
+        if math.isfinite(interval_s):
+            self._intervals_s.append(interval_s)
+        usual_s = statistics.median(self._intervals_s) if len(self._intervals_s) > 1 else 0.0
+        return interval_s > max(LONGEST_GAP_S, min(USUAL_GAPS * usual_s, self._hold_s)) + _ROUNDING_S
 
     def _rearm(self, command: Command | None, now_s: float) -> None:
         if self._spent is None or command is self._spent:
@@ -97,14 +120,12 @@ class DwellFilter:
         begin_s = now_s - hold_s - _ROUNDING_S
         if self._since_s > now_s - hold_s + _ROUNDING_S:
             return None
+        if len(self._frames) > 1:  # a slow camera's last two, though an open palm's time is shorter
+            begin_s = min(begin_s, self._frames[-2][0])
         window = [reading for at_s, reading in self._frames if at_s >= begin_s]
         showing = [reading for reading in window if reading.command is command]
-        if len(showing) < max(self._least_frames(command), LEAST_SHARE * len(window)):
+        if len(showing) < max(LEAST_FRAMES, LEAST_SHARE * len(window)):
             return None
         self._spent, self._changed_s = command, None
         confidence = sum(reading.confidence for reading in showing) / len(showing)
         return Held(command, confidence, now_s, hold_s, showing[-1].text)
-
-    @staticmethod
-    def _least_frames(command: Command) -> int:
-        return LEAST_STOP_FRAMES if command is Command.STOP else LEAST_FRAMES

@@ -105,7 +105,10 @@ class Reading:
 
 
 NO_HAND = Reading(None, 0.0, "no hand")
-DISAGREE = Reading(None, 0.0, "two hands that disagree")
+DISAGREE = Reading(None, 0.0, "hands that disagree")
+TOO_MANY = Reading(None, 0.0, "more hands than can be told apart: only an open palm counts")
+MOST_HANDS = 6
+"""So many are looked for at once; where there are as many, there may be more, and one of them an open palm."""
 
 # How likely a finger is extended: logistic regression on how far its two outer joints are bent and how far its tip reaches
 # beyond its middle joint, seen from the wrist, in palms; for the thumb on its bend and on its tip's distance from the
@@ -134,7 +137,7 @@ def read_hands(hands: Sequence[Hand], *, mirrored: bool = False) -> Reading:
     """What all hands in one picture ask for together.
 
     An open palm wins: STOP beats all (X4), and a false one is safe. Otherwise hands that show different gestures ask for nothing; a hand that
-    shows none (a fist, a resting hand) does not object.
+    shows none (a fist, a resting hand) does not object. Of MOST_HANDS or more nothing but STOP is taken: one that was not seen might object.
     """
     readings = [read_hand(hand, mirrored=mirrored) for hand in hands]
     if not readings:
@@ -143,6 +146,8 @@ def read_hands(hands: Sequence[Hand], *, mirrored: bool = False) -> Reading:
     if not asked:
         return readings[0]
     stops = [reading for reading in asked if reading.command is Command.STOP]
+    if not stops and len(hands) >= MOST_HANDS:
+        return TOO_MANY
     if not stops and len({reading.command for reading in asked}) > 1:
         return DISAGREE
     return max(stops or asked, key=lambda reading: reading.confidence)

@@ -8,13 +8,11 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
-from modalities.hands.gestures import Hand
+from modalities.hands.gestures import MOST_HANDS, Hand
 from modalities.hands.video import Picture
 from modalities.models.catalogue import HandModel, ModelError, hand_model_at
 from modalities.native_output import discarded_stderr
 
-MOST_HANDS = 2
-"""Two, so that hands that disagree are seen."""
 LIBRARIES = "libegl1 and libgles2"
 _EMPTY: Picture = np.zeros((480, 640, 3), np.uint8)
 

@@ -32,12 +32,14 @@ class HandStream(ThreadedStream):
         on_request: Callable[[ManeuverRequest], None],
         on_seen: Callable[[str], None] = lambda _text: None,
         on_hands: Callable[[Sequence[Hand]], None] = lambda _hands: None,
+        on_warning: Callable[[str], None] = lambda _sentence: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         hold: DwellFilter | None = None,
         mirrored: bool = False,
     ) -> None:
         """clock: the app's monotonic seconds, which the source stamps its pictures with. on_seen: what is seen now, whenever
-        it changes. on_hands: the hands in every picture. on_end: called last, once, with the error that ended the stream, or None where the video was played or
+        it changes. on_hands: the hands in every picture. on_warning: why nothing can be recognised, whenever
+        that begins. on_end: called last, once, with the error that ended the stream, or None where the video was played or
         `stop` was called. mirrored: the camera shows the operator as a mirror would. The detector stays the caller's to close.
         """
         super().__init__("hands", on_end)
@@ -47,6 +49,8 @@ class HandStream(ThreadedStream):
         self._on_request = on_request
         self._on_seen = on_seen
         self._on_hands = on_hands
+        self._on_warning = on_warning
+        self._slow = False
         self._hold = DwellFilter() if hold is None else hold
         self._mirrored = mirrored
         self._made = 0
@@ -66,11 +70,22 @@ class HandStream(ThreadedStream):
                 if self._stopping.is_set():
                     return
                 self._on_hands(hands)
+                self._watch_rate()
                 if held is not None:
                     self._hand_over(held)
                 if reading.text != seen:
                     seen = reading.text
                     self._on_seen(seen)
+
+    def _watch_rate(self) -> None:
+        rate_hz, slowest_hz = self._hold.rate_hz, self._hold.slowest_hz
+        slow = rate_hz is not None and rate_hz < slowest_hz
+        if slow and not self._slow:
+            self._on_warning(
+                f"only {rate_hz:.1f} pictures a second are seen and no gesture counts below {slowest_hz:.1f}: give the camera more "
+                "light, or close what keeps this computer busy"
+            )
+        self._slow = slow
 
     def _hand_over(self, held: Held) -> None:
         self._made += 1

@@ -27,6 +27,7 @@ Picture = NDArray[np.uint8]
 USUAL_RATE_HZ = 30.0
 """For files that do not say."""
 _HIGHEST_RATE_HZ = 240.0
+_NARROWEST = 0.25
 _WHOLE = 0.9
 """A file that gives fewer of its pictures than this is damaged (containers state their length only roughly)."""
 
@@ -41,6 +42,22 @@ class Frame:
 
     picture: Picture
     captured_at_s: float
+
+
+def pixel_aspect(capture: cv2.VideoCapture) -> float:
+    """Width of a pixel over its height; 1 where it is not stated or nonsense. (A stated rotation OpenCV applies by itself.)"""
+    across, down = (float(capture.get(part)) for part in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
+    aspect = across / down if across > 0.0 and down > 0.0 else 1.0
+    return aspect if _NARROWEST <= aspect <= 1.0 / _NARROWEST else 1.0
+
+
+def squared(picture: Picture, aspect: float) -> Picture:
+    """The picture with square pixels: the longer side of them is kept, the other one stretched."""
+    if aspect == 1.0:
+        return picture
+    height, width = picture.shape[:2]
+    size = (round(width * aspect), height) if aspect > 1.0 else (width, round(height / aspect))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 class VideoSource(Protocol):
@@ -68,6 +85,7 @@ class VideoFile:
             readable, picture = capture.read()
             rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
             self._stated_frames = float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            self._aspect = pixel_aspect(capture)
         finally:
             capture.release()
         if not readable or picture is None:
@@ -89,12 +107,14 @@ class VideoFile:
                 if not (math.isfinite(at_s) and at_s > last_s):
                     at_s = 0.0 if count == 0 else last_s + 1.0 / self.rate_hz
                 count, last_s = count + 1, at_s
-                yield Frame(np.asarray(picture, np.uint8), at_s)
+                yield Frame(squared(np.asarray(picture, np.uint8), self._aspect), at_s)
         finally:
             capture.release()
         if count == 0:
             raise self._unreadable()
-        if self._stated_frames > 0.0 and count < _WHOLE * self._stated_frames - 1.0:
+        # A file of variable rate holds fewer pictures than its length at its rate, but lasts as long as it says.
+        lasted = (last_s + 1.0 / self.rate_hz) * self.rate_hz
+        if self._stated_frames > 0.0 and max(count, lasted) < _WHOLE * self._stated_frames - 1.0:
             raise VideoError(f"video file {self.path} is damaged after {last_s:.1f} s: record or convert it again")
 
     def _open(self) -> cv2.VideoCapture:

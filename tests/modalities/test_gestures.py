@@ -11,7 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modalities.hands.gestures import DISAGREE, LEAST_CONFIDENCE, NO_HAND, Hand, finger_states, read_hand, read_hands
+from modalities.hands.gestures import (
+    DISAGREE,
+    LEAST_CONFIDENCE,
+    MOST_HANDS,
+    NO_HAND,
+    TOO_MANY,
+    Hand,
+    finger_states,
+    read_hand,
+    read_hands,
+)
 from safety.vocabulary import Command
 from tests.modalities.hand_shapes import HEIGHT_PX, WIDTH_PX, make_hand
 
@@ -133,6 +143,14 @@ def test_two_hands_that_disagree_ask_for_nothing() -> None:
     assert read_hands([left, left]).command is Command.GO_LEFT
     assert read_hands([left, make_hand("-----")]).command is Command.GO_LEFT
     assert read_hands([make_hand("|||||"), left]).command is Command.STOP, "a false stop is safe"
+
+
+@pytest.mark.requirement("X4")
+def test_where_as_many_hands_are_seen_as_can_be_only_a_palm_counts() -> None:
+    left = make_hand("-|---", PICTURES_RIGHT)
+    assert read_hands([left] * (MOST_HANDS - 1)).command is Command.GO_LEFT
+    assert read_hands([left] * MOST_HANDS) == TOO_MANY
+    assert read_hands([left] * (MOST_HANDS - 1) + [make_hand("|||||")]).command is Command.STOP
     assert read_hands([]) == NO_HAND
     assert read_hands([make_hand("-----"), make_hand("|----")]).command is None
 

@@ -13,15 +13,16 @@ import cv2
 import numpy as np
 import pytest
 
+from config.demo.drawn_hand import GESTURES, centre_of, draw, wall
 from modalities.hands.dwell import HOLD_S, LEAST_SHARE
 from modalities.hands.evaluation import evaluate_hands
-from modalities.hands.gestures import Hand
+from modalities.hands.gestures import Hand, read_hands
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.stream import HandStream
 from modalities.hands.video import Frame, VideoError, VideoFile
 from modalities.models.catalogue import HandModel, ModelError
 from modalities.outcomes import EvaluationError
-from safety.vocabulary import ManeuverRequest, Modality
+from safety.vocabulary import Command, ManeuverRequest, Modality
 from tests.modalities.hand_shapes import make_hand
 
 pytestmark = pytest.mark.xdist_group("busy")  # it keeps a core busy: one of them at a time
@@ -173,6 +174,45 @@ def test_the_landmarker_sees_all_nine_gestures_in_the_drawn_video_and_nothing_el
     for request, part in zip(seen.requests, (p for p in SHOWN if p["command"] != "none"), strict=True):
         assert part["from_s"] - 0.2 <= request.captured_at_s < part["to_s"]
         assert request.confidence >= 0.7 or request.command == "stop"
+
+
+def test_too_slow_a_camera_is_told_once() -> None:
+    seen = Seen()
+    told: list[str] = []
+    pointing = (make_hand("-|---", 0.0),)
+    slow = (Frame(np.zeros((2, 2, 3), np.uint8), number / 1.5) for number in range(12))
+    stream = HandStream(
+        Source(slow),
+        Drawn(*[pointing] * 12),
+        clock=lambda: 0.0,
+        on_request=seen.requests.append,
+        on_warning=told.append,
+        on_end=lambda _error: seen.ended.set(),
+    )
+    stream.start()
+    assert seen.ended.wait(10.0)
+    assert seen.requests == []
+    (sentence,) = told
+    assert "only 1.5 pictures a second are seen and no gesture counts below 2.0" in sentence
+
+
+@pytest.mark.requirement("X4")
+def test_an_open_palm_is_seen_beside_two_hands_that_were_there_before(hand_model: HandModel) -> None:
+    """Both of the landmarker's slots used to be taken by them."""
+    cells = {
+        name: cv2.resize(
+            draw(wall(np.random.default_rng(1)), GESTURES[name], centre_of(GESTURES[name]), -16.0), (320, 240)
+        )
+        for name in ("go_up", "stop")
+    }
+    empty = cv2.resize(wall(np.random.default_rng(1)), (320, 240))
+    row = np.hstack([cells["go_up"], cells["go_up"]])
+    before, after = (np.vstack([row, np.hstack([empty, last])]).astype(np.uint8) for last in (empty, cells["stop"]))
+    with HandDetector(hand_model) as detector:
+        seen = [len(detector.detect(before, number / 30.0)) for number in range(4)]
+        readings = [read_hands(detector.detect(after, (4 + number) / 30.0)) for number in range(4)]
+    assert seen[-1] == 2
+    assert readings[-1].command is Command.STOP
 
 
 def still(at_s: float) -> np.ndarray:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -68,6 +71,46 @@ def test_a_video_that_ends_too_early_says_so_after_what_it_gives(tmp_path: Path)
     given: list[Frame] = []
     with pytest.raises(VideoError, match=r"broken.avi is damaged after \d"):
         given.extend(VideoFile(path).frames())
+
+
+def encoded(path: Path, times_s: list[float], aspect: Fraction = Fraction(1)) -> Path:
+    """Pictures at these times, of pixels that are `aspect` as wide as high."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH_PX, HEIGHT_PX, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = aspect
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for number, at_s in enumerate(times_s):
+            frame = av.VideoFrame.from_ndarray(picture(number), format="bgr24")
+            frame.pts, frame.time_base = round(1000 * at_s), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("aspect", "shape"), [(Fraction(2), (120, 320)), (Fraction(1, 2), (240, 160)), (1, (120, 160))]
+)
+def test_pixels_that_are_not_square_are_made_so(tmp_path: Path, aspect: Fraction, shape: tuple[int, int]) -> None:
+    path = encoded(tmp_path / "a.mp4", [n / 10.0 for n in range(4)], Fraction(aspect))
+    assert [frame.picture.shape[:2] for frame in VideoFile(path).frames()] == [shape] * 4
+
+
+def test_a_variable_rate_is_no_damage(tmp_path: Path) -> None:
+    times_s = [n / 30.0 for n in range(30)] + [1.0 + n / 3.0 for n in range(9)]
+    for name in ("a.mp4", "a.mkv"):
+        frames = list(VideoFile(encoded(tmp_path / name, times_s)).frames())
+        assert [frame.captured_at_s for frame in frames] == pytest.approx(times_s, abs=2e-3)
+
+
+def test_a_picture_that_was_taken_sideways_is_turned(tmp_path: Path) -> None:
+    """As telephones state it: by a matrix in the track's header."""
+    path = encoded(tmp_path / "a.mp4", [n / 10.0 for n in range(4)])
+    content = bytearray(path.read_bytes())
+    at = content.index(b"tkhd") + 44
+    content[at : at + 36] = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    assert next(VideoFile(path).frames()).picture.shape[:2] == (WIDTH_PX, HEIGHT_PX)
 
 
 class Hand:
