@@ -78,11 +78,16 @@ class Run:
         return Map.from_json(path.read_text(encoding="utf-8"))
 
     def ordered(self, mutant: Mutant, tests: set[str], where: Map) -> list[str]:
-        """What has noticed mutants of the same function before, then what notices most in the time it takes."""
-        here = self.killers[f"{mutant.module}::{mutant.scope}"]
-        anywhere = self.killers[""]
+        """What has noticed mutants of the same function before; then in turn what notices most in the time it takes, and
+        what runs little else.
+        """
+        here, anywhere = self.killers[f"{mutant.module}::{mutant.scope}"], self.killers[""]
+        first = sorted((name for name in tests if here[name]), key=lambda name: -here[name])
         worth = {name: (anywhere[name] + 0.5) / (where.seconds.get(name, 0.0) + 0.005) for name in tests}
-        return sorted(tests, key=lambda name: (-here[name], -worth[name]))
+        by_worth = sorted(tests, key=lambda name: (-worth[name], name))
+        by_aim = sorted(tests, key=lambda name: (where.wide[name], name))
+        in_turn = (name for pair in zip(by_worth, by_aim, strict=True) for name in pair)
+        return list(dict.fromkeys((*first, *in_turn)))
 
     def note(self, outcome: Outcome) -> None:
         if outcome.status == "killed":

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from tests.mutation.mutants import Mutant
 
@@ -15,6 +17,11 @@ class Map:
     seconds: dict[str, float] = field(default_factory=dict)
     tests: dict[str, dict[int, list[str]]] = field(default_factory=dict)
     """By module and line."""
+
+    @cached_property
+    def wide(self) -> Counter[str]:
+        """How many lines each test runs."""
+        return Counter(test for lines in self.tests.values() for tests in lines.values() for test in tests)
 
     def of(self, mutant: Mutant) -> set[str]:
         """The tests that run a line of it."""

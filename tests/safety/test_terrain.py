@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -205,3 +206,99 @@ def test_the_slope_is_that_of_the_steepest_triangle() -> None:
 def test_what_is_no_grid_is_refused(heights: Floats, corner: tuple[float, float], steps: object, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Terrain(heights, corner, steps, 0.1, 0.0)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------- against plain geometry, cell by cell
+
+
+class Plain:
+    """A terrain's triangles and its unknown cells, worked out the slow way."""
+
+    def __init__(self, terrain: Terrain) -> None:
+        heights, steps = terrain.heights_amsl_m, np.array(terrain.steps_ne_m)
+        self.triangles: list[Floats] = []
+        unknown = []
+        for i, j in np.ndindex(heights.shape[0] - 1, heights.shape[1] - 1):
+            nodes = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+            ground = [np.array(terrain.corner_ne_m) + steps @ np.array(node, dtype=float) for node in nodes]
+            if np.isnan([heights[node] for node in nodes]).any():
+                unknown.append(shapely.Polygon(ground))
+                continue
+            corners = [np.array((*g, terrain.origin_amsl_m - heights[n])) for g, n in zip(ground, nodes, strict=True)]
+            self.triangles += [np.array([corners[k] for k in which]) for which in ((0, 1, 2), (0, 2, 3))]
+        ends = [
+            (0, 0),
+            (heights.shape[0] - 1, 0),
+            (heights.shape[0] - 1, heights.shape[1] - 1),
+            (0, heights.shape[1] - 1),
+        ]
+        self.grid = shapely.Polygon([np.array(terrain.corner_ne_m) + steps @ np.array(e, dtype=float) for e in ends])
+        self.unknown = shapely.unary_union(unknown)
+
+    def unknown_m(self, point: Floats) -> float:
+        at = shapely.Point(point[:2])
+        border_m = self.grid.exterior.distance(at) if self.grid.contains(at) else 0.0
+        return float(min(border_m, math.inf if self.unknown.is_empty else self.unknown.distance(at)))
+
+    def height_m(self, point: Floats) -> float:
+        """Straight down to the one triangle that the point is over."""
+        for a, b, c in self.triangles:
+            share = np.linalg.solve(np.column_stack((b[:2] - a[:2], c[:2] - a[:2])), point[:2] - a[:2])
+            if share.min() >= -1e-12 and share.sum() <= 1.0 + 1e-12:
+                return float(a[2] + share @ (np.array((b[2], c[2])) - a[2]) - point[2])
+        return math.nan
+
+    def surface_m(self, point: Floats) -> float:
+        return min(_from_triangle_m(point, triangle) for triangle in self.triangles)
+
+    def slope(self) -> float:
+        normals = [np.cross(b - a, c - a) for a, b, c in self.triangles]
+        return max(math.hypot(n[0], n[1]) / abs(n[2]) for n in normals)
+
+
+def _from_triangle_m(point: Floats, triangle: Floats) -> float:
+    a, b, c = triangle
+    normal = np.cross(b - a, c - a)
+    foot = point - normal * ((point - a) @ normal) / (normal @ normal)
+    sides = ((a, b), (b, c), (c, a))
+    if all(np.cross(q - p, foot - p) @ normal >= 0.0 for p, q in sides):
+        return float(np.linalg.norm(point - foot))
+    ends = [p + min(1.0, max(0.0, (point - p) @ (q - p) / ((q - p) @ (q - p)))) * (q - p) for p, q in sides]
+    return float(min(np.linalg.norm(point - end) for end in ends))
+
+
+@pytest.mark.requirement("R3", "R4", "G2", "X6")
+@pytest.mark.parametrize("seed", range(6))
+def test_heights_and_distances_are_those_of_plain_geometry(seed: int) -> None:
+    """Turned, stretched and skewed grids, some with holes, high above the origin; points over, under, beside and outside."""
+    rng = np.random.default_rng(seed)
+    steps = [
+        ((1.0, 0.0), (0.0, 1.0)), ((0.8, -0.6), (0.6, 0.8)), ((3.0, 0.5), (-0.2, 1.0)),
+        ((0.0, 1.5), (1.5, 0.0)), ((-2.0, 0.3), (0.4, 1.2)), ((1.2, 0.9), (-1.5, 2.0)),
+    ][seed]  # fmt: skip
+    heights = rng.uniform(-1.5, 1.5, (6, 5) if seed < 5 else (8, 8)) + 300.0
+    if seed % 2:
+        heights[rng.integers(1, 5), rng.integers(1, 4)] = np.nan
+    corner = rng.uniform(-4.0, 1.0, 2).tolist()
+    terrain = Terrain(heights, (corner[0], corner[1]), steps, 0.1, 305.0)
+    plain = Plain(terrain)
+    assert terrain.slope == pytest.approx(plain.slope())
+    west, south, east, north = plain.grid.bounds
+    low, high = (west - 0.6, south - 0.6, 1.0), (east + 0.6, north + 0.6, 8.5)
+    points = rng.uniform(low, high, (24, 3))
+    middle = np.array(((west + east) / 2.0, (south + north) / 2.0, 4.0))
+    height = np.array([plain.height_m(p) for p in points])
+    unknown = np.array([plain.unknown_m(p) for p in points])
+    surface = np.array([plain.surface_m(p) for p in points])
+    np.testing.assert_allclose(terrain.agl_m(points), height, atol=1e-9)
+    np.testing.assert_allclose(terrain.unknown_m(points, reach_m=30.0), unknown, atol=1e-9)
+    for reach_m, half in ((30.0, Ned(9.0, 9.0, 9.0)), (3.0, Ned(1.0, 0.5, 2.0)), (1.2, Ned(0.0, 0.0, 0.0))):
+        patch = terrain.near(Ned(*middle.tolist()), reach_m, half)
+        outside = np.maximum(np.abs(points - middle) - np.array(half), 0.0)
+        vouched = np.maximum(reach_m - np.linalg.norm(outside, axis=1), 0.0)
+        expected = np.minimum(np.minimum(surface, unknown), vouched)
+        np.testing.assert_allclose(patch.clearance_m(points), np.copysign(expected, height) + 0.0 * height, atol=1e-7)
+        np.testing.assert_allclose(patch.unknown_m(points), np.minimum(unknown, vouched), atol=1e-9)
+        around = shapely.box(*(middle[:2] - half[:2]), *(middle[:2] + half[:2])).buffer(reach_m)
+        if plain.grid.contains(around) and not around.intersects(plain.unknown):
+            assert patch.is_complete
