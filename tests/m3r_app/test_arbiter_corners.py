@@ -11,7 +11,7 @@ from m3r_app.arbiter import decisions, wording
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step, impossible
 from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition, LetGo
-from m3r_app.arbiter.events import ClaimLost, FrameMoved, Requested
+from m3r_app.arbiter.events import ClaimLost, FrameMoved, Requested, ReservationAnswered, Tick
 from m3r_app.arbiter.preview import WAITS, preview
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
@@ -19,7 +19,7 @@ from m3r_app.output import Notice
 from safety.limits import Limits
 from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, VehicleState, Verdict
 from tests.m3r_app.tabletop import Tabletop
-from tests.m3r_app.test_arbiter import ball, facing, flying, held, pairing, settling, wall_at
+from tests.m3r_app.test_arbiter import ball, delayed, facing, flying, held, pairing, settling, waiting, wall_at
 
 
 def test_an_impossible_transition_is_an_effect() -> None:
@@ -308,3 +308,98 @@ def test_a_pairing_refused_while_facing_leaves_nothing_behind() -> None:
     state = table.state
     assert (state.session, state.pairing, state.vehicle, state.authority) == (None, None, None, False)
     assert table.log.count(LetGo("hold")) == 1
+
+
+# ---------------------------------------------------------------- what is left, what is measured, what waits
+
+
+@pytest.mark.requirement("X12")
+@pytest.mark.parametrize("command", [Command.GO_UP, Command.GO_DOWN, Command.GO_FORWARD, Command.GO_RIGHT])
+def test_stop_leaves_what_was_not_flown(command: Command) -> None:
+    table = Tabletop().paired()
+    table.ask(command)
+    flight = table.wait(1.0).state.flight
+    assert flight is not None
+    flown_m = table.position.minus(flight.origin).norm
+    table.ask(Command.STOP)
+    left = table.state.leftover
+    assert left is not None and 0.1 < flown_m < flight.plan.length_m - 0.1
+    assert left.left == pytest.approx(flight.plan.length_m - flown_m)
+    assert (left.primitive, left.slowness) == (flight.plan.primitive, 1.0)
+
+
+@pytest.mark.requirement("X12")
+@pytest.mark.parametrize("command", [Command.TURN_LEFT, Command.TURN_RIGHT])
+def test_stop_leaves_what_was_not_turned(command: Command) -> None:
+    table = Tabletop().paired()
+    table.ask(command)
+    turned_deg = 0.0
+    for _ in range(60):
+        before = table.yaw_deg
+        table.tick()
+        turned_deg += abs(math.remainder(table.yaw_deg - before, 360.0))
+    table.ask(Command.STOP)
+    left = table.state.leftover
+    assert left is not None and turned_deg > 90.0
+    assert left.left == pytest.approx(360.0 - turned_deg)
+
+
+@pytest.mark.requirement("X12")
+def test_what_is_left_is_continued_also_where_the_way_back_must_be_asked_for() -> None:
+    table = flying(policy=Policy(return_to_anchor="ask"))
+    table.ask(Command.STOP)
+    left = table.until(State.ARMED).state.leftover
+    table.ask(Command.CONTINUE)
+    flight = table.state.flight
+    assert left is not None and flight is not None
+    assert flight.plan.primitive is Primitive.MOVE_LEFT and flight.plan.length_m == pytest.approx(left.left)
+
+
+def test_how_near_a_flight_came_is_the_least_of_all_that_was_measured() -> None:
+    """Down half a metre over flat ground, past somebody who stands 6 m beside and 0.25 m lower."""
+    table = Tabletop().paired()
+    other = table.position.plus(Ned(6.0, 0.0, 0.25))
+    table.ask(Command.GO_DOWN)
+    heights, apart = [], []
+    while table.state.flight is not None:
+        heights.append(-table.position.down)
+        apart.append(table.position.minus(other).norm)
+        table.sky = ball("blue", other, Ned(0.0, 0.0, 0.0), table.now_s + 0.1)
+        table.tick()
+    (done,) = table.motions("completed")
+    assert done["min_clearance_m"] == pytest.approx(min(heights), abs=1e-6)
+    assert done["min_separation_m"] == pytest.approx(min(apart), abs=1e-6)
+    assert 0.2 < done["max_speed_m_s"] <= 0.25 + 1e-6
+
+
+@pytest.mark.requirement("X6")
+def test_a_delay_that_ends_unheard_is_not_blamed_on_the_authority() -> None:
+    table = delayed()
+    name = table.decisions()[-1]["request"]
+    table.now_s += 3.1
+    table.put(Tick())
+    assert table.verdicts(name) == ["delayed", "rejected"]
+    assert "localization" in table.failing(name)
+
+
+@pytest.mark.requirement("X10")
+def test_a_drone_that_has_drifted_by_more_than_the_tube_is_told_by_how_much() -> None:
+    table = waiting()
+    name = table.decisions()
+    assert name == []
+    table.position = table.position.plus(Ned(0.0, 0.0, -0.4))
+    table.tell()
+    table.put(ReservationAnswered("r2", "granted"))
+    off = next(f for f in table.decisions("r2")[-1]["findings"] if "from where the plan starts" in f["text"])
+    assert (off["constraint"], off["passed"]) == ("envelope", False)
+    assert off["margin"] == pytest.approx(-0.1) and "0.40 m" in off["text"]
+
+
+@pytest.mark.requirement("X10")
+def test_every_way_back_asks_for_its_own_airspace() -> None:
+    table = held().until(State.RETURN_TO_ANCHOR, 6.0)
+    assert [name for name in table.reserved if name.startswith("return")] == ["return-1"]
+    assert table.motions("started")[-1]["request"] == "return"
+    assert table.state.tally.approved == 1, "nobody asked for it"
+    table.until(State.ARMED, 20.0)
+    assert table.state.tally.completed == 0 and table.state.tally.aborted == 1

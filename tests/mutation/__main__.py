@@ -31,7 +31,7 @@ from tests.mutation import results as kept_results  # noqa: E402
 from tests.mutation.covered import Map  # noqa: E402
 from tests.mutation.mutants import ROOT, Mutant, dangerous, digest, modules, mutants_of  # noqa: E402
 from tests.mutation.page import write  # noqa: E402
-from tests.mutation.trial import Collected, Ours, Outcome, afresh, collect, in_child, mapped, told, within  # noqa: E402
+from tests.mutation.trial import Collected, Ours, Outcome, Stage, afresh, collect, in_child, mapped, told, within  # noqa: E402
 
 
 def everything_read() -> str:
@@ -46,14 +46,17 @@ class Run:
     def __init__(self, tests: Sequence[str], jobs: int, until_s: float, patience_s: float) -> None:
         self.tests, self.jobs, self.until_s, self.patience_s = tests, jobs, until_s, patience_s
         self.read = everything_read()
-        self.results = kept_results.Results(kept_results.KEPT, self.read, patience_s)
+        self.began_s = time.monotonic()
+        self.remember()
+
+    def remember(self) -> None:
+        """Read what is known, and which tests have noticed how many: by function, and of all."""
+        self.results = kept_results.Results(kept_results.KEPT, self.read, self.patience_s)
         self.killers: dict[str, Counter[str]] = defaultdict(Counter)
-        """By function, and of all: how many each test has noticed."""
         for name, (status, by) in self.results.known.items():
             if status == "killed":
                 self.killers[""][by] += 1
                 self.killers[name.partition(": ")[0]][by] += 1
-        self.began_s = time.monotonic()
 
     @property
     def over(self) -> bool:
@@ -133,6 +136,16 @@ class Run:
         if os.waitpid(child, 0)[1]:
             raise SystemExit("The tests could not be collected or passed; see above.")
 
+    def stages(self, mutant: Mutant, where: Map) -> list[Stage]:
+        """Where it is looked for first: two files whose tests notice most; then everywhere."""
+        if mutant.by:
+            return [([mutant.by.partition("::")[0]], [mutant.by])]
+        near = where.touching(mutant.module)
+        tests = [*self.ordered(mutant, near, where), *self.ordered(mutant, set(where.seconds) - near, where)]
+        files = list(dict.fromkeys(name.partition("::")[0] for name in tests))[:2]
+        few = [name for name in tests if name.partition("::")[0] in files]
+        return [(files, few), (self.tests, [name for name in tests if name not in set(few)])]
+
     def from_import(self, todo: list[Mutant]) -> None:
         """Try what differs when a module is imported: everything anew in a child."""
         maps = sorted(kept_results.KEPT.glob(f"map-{self.read}-*.json"), key=lambda path: path.stat().st_mtime)
@@ -142,11 +155,7 @@ class Run:
             for mutant in todo:
                 if self.over:
                     return
-                near = {mutant.by} if mutant.by else where.touching(mutant.module)
-                rest = set() if mutant.by else set(where.seconds) - near
-                tests = [*self.ordered(mutant, near, where), *self.ordered(mutant, rest, where)]
-                files = [mutant.by.partition("::")[0]] if mutant.by else self.tests
-                yield mutant, partial(afresh, mutant, files, tests, where, self.patience_s)
+                yield mutant, partial(afresh, mutant, self.stages(mutant, where), where, self.patience_s)
 
         for done, outcome in enumerate(told(self.jobs, jobs()), 1):
             self.note(outcome)
@@ -189,8 +198,10 @@ def main() -> int:
         random.Random(0).shuffle(todo)
     if todo:
         run.forked(todo)
-        run.results = kept_results.Results(kept_results.KEPT, run.read, args.patience)
-        run.from_import([m for m in todo if run.results.known.get(m.name, ("",))[0] == "afresh"])
+        run.remember()
+    at_import = [m for m in [*first, *mutants] if run.results.known.get(m.name, ("",))[0] == "afresh"]
+    if at_import:
+        run.from_import(at_import)
     kept_results.spent_s(time.monotonic() - run.began_s)
     if args.page:
         write(run.results, args.patience, args.jobs)

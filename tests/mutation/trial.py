@@ -18,6 +18,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.machinery import SourceFileLoader
 from types import CellType, CodeType, FunctionType
 from typing import Any, Literal
@@ -223,8 +224,15 @@ def within(
     return f"killed\n{by}" if by is not None else "survived"
 
 
-def afresh(mutant: Mutant, files: Sequence[str], tests: Sequence[str], where: Map, patience_s: float) -> str:
-    """In a child that has imported nothing of ours: the changed module in the place of the true one, from the import on."""
+Stage = tuple[Sequence[str], Sequence[str]]
+"""Files to collect, and tests of them to pass."""
+
+
+def afresh(mutant: Mutant, stages: Sequence[Stage], where: Map, patience_s: float) -> str:
+    """In a child that has imported nothing of ours: the changed module in the place of the true one, from the import on.
+
+    stages: to collect a few files takes less time than all of them, and is often enough.
+    """
     try:
         code = code_of(mutant)
     except (SyntaxError, ValueError) as error:
@@ -235,15 +243,18 @@ def afresh(mutant: Mutant, files: Sequence[str], tests: Sequence[str], where: Ma
         return code if self.path == path else true_code(self, fullname)
 
     SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
-    by: list[str | None] = []
-    if not collect(files, lambda collected: by.append(_first_of(collected, tests, where, patience_s))):
-        return "killed\nthe tests cannot be collected"
-    return f"killed\n{by[0]}" if by[0] is not None else "survived"
+    for files, tests in stages:
+        by: list[str | None] = []
+        if not collect(files, partial(_first, by, tests, where, patience_s)):
+            return "killed\nthe tests cannot be collected"
+        if by[0] is not None:
+            return f"killed\n{by[0]}"
+    return "survived"
 
 
-def _first_of(collected: Collected, tests: Sequence[str], where: Map, patience_s: float) -> str | None:
+def _first(by: list[str | None], tests: Sequence[str], where: Map, patience_s: float, collected: Collected) -> None:
     gone = next((name for name in tests if name not in collected.items), None)
-    return gone or collected.first_failing(tests, where.seconds, patience_s)
+    by.append(gone or collected.first_failing(tests, where.seconds, patience_s))
 
 
 class Ours:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +14,7 @@ from safety.confidence import authority, confidence_of, input_confidence, locali
 from safety.limits import Limits
 from safety.terrain import Terrain
 from safety.vocabulary import Command, ManeuverRequest, Modality, Ned
-from tests.safety.scene import LIMITS, NOW_S, hover, number, situation, vehicle, world
+from tests.safety.scene import LIMITS, NOW_S, hover, number, situation, straight, vehicle, world
 
 DIFFERENT = replace(LIMITS, confidence_voice=0.7, confidence_gesture=0.6, confidence_panel=0.5)
 
@@ -101,3 +102,52 @@ def test_only_who_holds_authority_commands() -> None:
     found = authority(hover(), situation(authority=False), LIMITS)
     assert not found.passed
     assert "pair again" in found.text
+
+
+def test_a_confidence_of_nothing_is_a_number_and_too_low() -> None:
+    assert number(input_confidence(asked(Modality.VOICE, 0.0), LIMITS)) == pytest.approx(-0.7)
+    assert number(input_confidence(asked(Modality.VOICE, 1.0), LIMITS)) == pytest.approx(0.3)
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"at_s": NOW_S - 2.0}, "the drone's position is 2.0 s old"),
+        ({"at_s": math.nan}, "the drone's position is an unknown time old"),
+        ({"velocity": Ned(20.0, 0.0, 0.0)}, None),
+        ({"velocity": Ned(20.01, 0.0, 0.0)}, "the drone's velocity of 20.0 m/s is not plausible"),
+        ({"velocity": Ned(math.nan, 0.0, 0.0)}, "the drone's velocity is unknown"),
+        ({"disagreement": Ned(0.0, 0.5, 0.0)}, None),
+        ({"disagreement": Ned(0.0, 0.51, 0.0)}, "the drone's position does not move as its velocity says"),
+    ],
+)
+def test_why_a_position_is_not_believed(changes: dict[str, object], says: str | None) -> None:
+    found = localization(hover(), situation(vehicle=vehicle(**changes)), LIMITS)
+    assert found.passed == (says is None) and (found.margin is None) == (says is not None)
+    assert says is None or found.text == says
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(("up_m", "passed"), [(0.5, True), (-1.99, True), (-2.01, False)])
+def test_under_the_model_counts_where_the_path_starts(up_m: float, passed: bool) -> None:
+    """Twice 0.3 m upright, half of 0.8 m sideways over the slope of a half, and 0.3 m of the model explain 2 m."""
+    ground = Terrain(0.5 * np.arange(9.0)[:, None] + np.zeros((9, 9)), (-4.0, -4.0), ((1.0, 0.0), (0.0, 1.0)), 0.3, 2.0)
+    seen = vehicle(position=Ned(0.0, 0.0, -up_m), sigma_h_m=0.8, sigma_v_m=0.3)
+    path = straight(Ned(0.0, 0.0, -up_m - 30.0), start=Ned(0.0, 0.0, -up_m), n=2)
+    assert terrain_confidence(path, situation(vehicle=seen, world=world(terrain=ground)), LIMITS).passed == passed
+
+
+@pytest.mark.requirement("X3", "X8")
+@pytest.mark.parametrize(
+    ("changes", "held", "says"),
+    [
+        ({}, True, "this station commands the drone"),
+        ({"healthy": False}, False, "this station does not command the drone: pair again"),
+        ({"healthy": False}, True, "the drone reports that it is not healthy"),
+        ({"battery": math.nan}, True, "its battery is unknown"),
+        ({"battery": 0.1}, True, "its battery is at 10 %, 20 % needed"),
+    ],
+)
+def test_who_commands_what_is_said_as_it_is(changes: dict[str, object], held: bool, says: str) -> None:
+    assert authority(hover(), situation(vehicle=vehicle(**changes), authority=held), LIMITS).text == says

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import fields, replace
 
@@ -143,3 +144,36 @@ def test_samples_of_a_hover_are_few_recent_and_finite() -> None:
         samples = with_hover(samples, replace(last, at_s=0.02 * i), motion, 8.0)
     assert len(samples) <= 82 and 7.8 < spans_s(samples) <= 8.0 + 0.1
     assert with_hover(samples, replace(last, at_s=99.0, position=Ned(math.nan, 0.0, 0.0)), motion, 8.0) == ()
+
+
+def test_speed_by_velocity_follows_in_a_tenth_of_a_second() -> None:
+    """Of a step from 0 to 1 m/s, a report 0.04 s later shows four tenths, one 0.1 s later all; before any, what is said."""
+    still, quick = vehicle(at_s=10.0), {"velocity": Ned(1.0, 0.0, 0.0)}
+    motion = moved(AT_FIRST, still, None)
+    assert motion.by_velocity_m_s == 0.0
+    for dt_s, expected in ((0.04, 0.4), (0.1, 1.0), (0.5, 1.0), (0.0, 0.0), (-1.0, 0.0)):
+        assert moved(motion, vehicle(at_s=10.0 + dt_s, **quick), still).by_velocity_m_s == pytest.approx(expected)
+    assert moved(motion, vehicle(at_s=10.04, **quick), None).by_velocity_m_s == 1.0
+    lost = Motion(math.nan, ())
+    assert moved(lost, vehicle(at_s=10.04, **quick), still).by_velocity_m_s == 1.0, "what was no number is not followed"
+
+
+def test_the_track_is_half_a_second_of_samples() -> None:
+    motion, last = fly(3.0, Ned(1.0, 0.0, 0.0), dt_s=0.01)
+    times = [place.at_s for place in motion.track]
+    assert len(times) in (13, 14, 15) and times[-1] - times[0] <= 0.54 + 1e-9
+    assert all(b - a >= 0.04 - 1e-9 for a, b in itertools.pairwise(times))
+    again = moved(motion, replace(last, at_s=last.at_s - 1.0), last)
+    assert [place.at_s for place in again.track] == [last.at_s - 1.0], "a clock that goes back begins anew"
+
+
+@pytest.mark.parametrize(("seconds", "known"), [(0.36, False), (0.44, True)])
+def test_speed_by_position_needs_most_of_its_window(seconds: float, known: bool) -> None:
+    motion, _ = fly(seconds, Ned(1.0, 0.0, 0.0), dt_s=0.04)
+    assert math.isfinite(motion.by_position_m_s) == known
+
+
+def test_a_hover_without_a_speed_by_position_is_not_sampled() -> None:
+    assert with_hover((), vehicle(at_s=5.0), Motion(0.0, ()), 8.0) == ()
+    before = hover(0.1)[:3]
+    assert with_hover(before, vehicle(at_s=5.0), Motion(0.0, ()), 8.0) is before
