@@ -49,6 +49,7 @@ from safety.vocabulary import (
     ReservedVolume,
     State,
 )
+from tests import golden_parts
 from tests.golden_scenes import situations, worlds
 from tests.golden_text import line, shown
 from tests.m3r_app.tabletop import Tabletop
@@ -259,6 +260,7 @@ CASES: dict[str, tuple[Callable[[int], Iterator[str]], int]] = {
     "arbiter": (arbiter, len(TABLES)),
     "stories": (story, 11),
     "rules": (rules, PARTS),
+    "parts": (lambda number: golden_parts.PARTS[number](), len(golden_parts.PARTS)),
 }
 """By file: what makes a part of it, and how many parts."""
 
