@@ -8,6 +8,9 @@ metres; `stop`, `request`: STOP, or a move, was asked for; `hold`: the drone is 
 broken and the maneuver is to end; `emergency`: EmergencyHold; `peak_m_s`, `length_m`, `duration_s` of the plan that begins, and
 what is allowed: `speed_limit_m_s`, `length_limit_m`, `duration_limit_s`; `low`: a decision for want of input confidence alone.
 
+A broken limit is told once the drone has told its mode since, which takes 3 s at most and a sample more (X3): by then the drone is in
+EmergencyHold, or has left it for the next maneuver.
+
 Not here: R1-R6, R9, R11, G2-G5, X1, X2 and X13 are about geometry, which `m3r verify` judges anew for every plan and sample; R7
 likewise; X5, X7, X8, X9, X11, X12 and X14 need what these signals do not tell.
 """
@@ -36,8 +39,11 @@ PROPERTIES: tuple[Property, ...] = (
         "R8", "start_any -> speed_limit_m_s >= peak_m_s & duration_limit_s >= duration_s", "no plan is too fast or long"
     ),
     Property(
-        "R10", "aborting -> emergency & hold", "a broken limit that ends a maneuver holds, in EmergencyHold, at once"
+        "R10",
+        "aborting & Y flying -> emergency & hold | Y O[0,4] emergency",
+        "a broken limit that ends a maneuver holds, in EmergencyHold, at once",
     ),
+    Property("R10", "aborting -> O[0,4] emergency", "no broken limit is told to end a maneuver that goes on"),
     Property("G6", "start -> length_limit_m >= length_m", "no plan is longer than a maneuver may be"),
     Property("X3", "commanded -> authority", "the drone is commanded only while it is ours"),
     Property("X4", "stop & authority -> hold", "STOP holds at once"),

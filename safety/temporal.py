@@ -3,7 +3,8 @@
 Notation: a name is a signal; `x >= 3` or `x >= y` (also <=, >, <) is their difference; `!`, `&`, `|`, `->` as usual, binding in
 this order; `Y f`: at the last sample; `O[a,b] f`: at some sample between a and b seconds ago; `H[a,b] f`: at every one; without
 brackets: ever; `f S g`: g held once and f ever since. A signal that is true or false is +1 or -1. Before the first sample
-nothing held. Source: Donze and Maler (2010), Maler and Nickovic (2004); Ulus, "Online monitoring of MTL" (2019).
+nothing held. At a sample of which a named signal is unknown (NaN) the formula does not hold, whatever its form, and nothing of it
+is remembered. Source: Donze and Maler (2010), Maler and Nickovic (2004); Ulus, "Online monitoring of MTL" (2019).
 """
 
 from __future__ import annotations
@@ -42,7 +43,21 @@ def monitor(text: str) -> Monitor:
     update = reader.implication(whole=True)
     if reader.word is not None:
         raise FormulaError(f"{text!r} has {reader.word!r} too much")
-    return Monitor(update, reader.antecedent, frozenset(reader.names))
+    names = tuple(sorted(reader.names))
+    antecedent = None if reader.antecedent is None else _where_known(reader.antecedent, names)
+    return Monitor(_where_known(update, names), antecedent, frozenset(names))
+
+
+def _where_known(update: Update, names: tuple[str, ...]) -> Update:
+    """What is unknown does not hold, under `!` and before `->` too; a memory that took it in would keep it. Source: X6."""
+
+    def known(t_s: float, now: Signals) -> float:
+        for name in names:
+            if now[name] != now[name]:
+                return -math.inf
+        return update(t_s, now)
+
+    return known
 
 
 class _Reader:
@@ -147,7 +162,7 @@ class _Reader:
             return left
         self._take()
         right, way = self._value(), sign
-        return lambda t_s, now: _known(way * (left(t_s, now) - right(t_s, now)))
+        return lambda t_s, now: _difference(way, left(t_s, now), right(t_s, now))
 
     def _value(self) -> Update:
         word = self._take()
@@ -160,9 +175,9 @@ class _Reader:
         return lambda _t_s, now: now[word]
 
 
-def _known(value: float) -> float:
-    """What is unknown does not hold. Source: X6."""
-    return -math.inf if math.isnan(value) else value
+def _difference(way: float, left: float, right: float) -> float:
+    """Two that are infinite alike differ by nothing."""
+    return 0.0 if left == right else way * (left - right)
 
 
 def _both(a: Update, b: Update, least: Callable[[float, float], float]) -> Update:

@@ -30,6 +30,7 @@ from m3r_app.arbiter.events import (
     TelemetryArrived,
     Tick,
 )
+from m3r_app.arbiter.signals import SignalReader
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.sim.dynamics import Multirotor, PositionError, Setpoint, Wind
@@ -39,6 +40,7 @@ from safety.frames import bearing_deg
 from safety.geofence import Geofence
 from safety.limits import Limits
 from safety.obstacles import Obstacles
+from safety.properties import Watch
 from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import (
@@ -100,6 +102,8 @@ class Outcome:
     reports: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)
     worst: dict[str, float] = field(default_factory=dict)
     """Constraint -> least true margin, negative or not."""
+    falsified: list[tuple[float, str]] = field(default_factory=list)
+    """When which temporal property did not hold."""
     flown: int = 0
     true_speed_m_s: float = 0.0
 
@@ -193,6 +197,7 @@ class Flight:
         self.next_request_s = self.now_s + 2.0
         self.next_aircraft_s = self.now_s + rng.uniform(1.0, 5.0)
         self.requests = 0
+        self.signals, self.watch = SignalReader(self.limits), Watch()
         self._inbox: list[Event] = []
 
     # ------------------------------------------------------------ running
@@ -240,7 +245,10 @@ class Flight:
         self._inbox.append(event)
         while self._inbox:
             had_anchor = self.state.session.anchor if self.state.session else None
-            self.state, effects = step(self.state, self._inbox.pop(0), self.now_s)
+            event = self._inbox.pop(0)
+            self.state, effects = step(self.state, event, self.now_s)
+            for broken in self.watch.update(self.now_s, self.signals.read(event, effects)):
+                self.outcome.falsified.append((self.now_s, broken.formula))
             anchor = self.state.session.anchor if self.state.session else None
             if anchor is not None and anchor is not had_anchor:
                 self.true_anchor = self.pilot.body.position

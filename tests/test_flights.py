@@ -88,6 +88,8 @@ def test_no_hard_constraint_is_violated() -> None:
     outcomes = flown(fly, range(FLIGHTS))
     violated = {o.seed: o.violations for o in outcomes if o.violations}
     assert not violated
+    falsified = {o.seed: o.falsified for o in outcomes if o.falsified}
+    assert not falsified, "temporal properties"
     # The flights are worth something: things were flown, shortened and refused.
     verdicts = Counter(fields["verdict"] for o in outcomes for _, event, fields in o.reports if event == "decision")
     assert sum(o.flown for o in outcomes) >= 3 * FLIGHTS
@@ -99,6 +101,7 @@ def test_no_hard_constraint_is_violated() -> None:
 def test_outside_the_declared_bounds_it_aborts_within_a_tick() -> None:
     """R10: violated or not, nothing goes on being flown into a violation; the rate is reported, whatever it is."""
     outcomes = flown(fly_beyond, range(200 if SOAK else 4))
+    assert not [o.falsified for o, _ in outcomes if o.falsified]
     rate = sum(bool(o.violations) for o, _ in outcomes) / len(outcomes)
     print(f"\noutside the declared bounds: {rate:.0%} of {len(outcomes)} flights violated something")
     # Telemetry comes every second step of the simulation and neighbours every fifth: one tick of the slower of the two.

@@ -80,7 +80,7 @@ class SignalReader:
                     self._state = one.state
                 case PairEvent() if one.status is PairStatus.CONFIRMED:
                     self._paired = True
-                case PairEvent() if one.status in (PairStatus.RELEASED, PairStatus.REFUSED):
+                case PairEvent() if one.status is PairStatus.RELEASED:  # refused is another drone, or was not paired
                     self._paired = False
         self._authority = self._state not in (State.IDLE, State.PAIRING)
 

@@ -38,11 +38,13 @@ from m3r_app.arbiter.events import (
     Tick,
 )
 from m3r_app.arbiter.modes import MODE_OF, TRANSITIONS, WHILE_HELD
+from m3r_app.arbiter.signals import SignalReader
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from safety.frames import wrap_deg
 from safety.limits import Limits
 from safety.obstacles import Obstacles
+from safety.properties import Watch
 from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import (
@@ -91,6 +93,7 @@ class Tabletop:
         self.reserved: dict[str, int] = {}
         self.held: set[str] = set()
         """Volumes that the authority keeps for us."""
+        self.signals, self.watch = SignalReader(self.state.limits), Watch()
         self.asked = 0
 
     # ------------------------------------------------------------ events
@@ -102,6 +105,8 @@ class Tabletop:
         self.steps.append((before, event, self.state, effects))
         self.log += effects
         check_step(before, event, self.state, effects)
+        broken = self.watch.update(self.now_s, self.signals.read(event, effects))
+        assert not broken, f"{[one.formula for one in broken]} at {type(event).__name__}"
         answers: list[Event] = []
         for effect in effects:
             answers += self.carry_out(effect)

@@ -58,9 +58,24 @@ def test_time_is_measured_and_not_counted() -> None:
     assert [watched.update(t, {"a": 1.0 if t == 0.0 else -1.0}) > 0 for t in times] == [True] * 4 + [False] * 2
 
 
-def test_what_is_unknown_does_not_hold() -> None:
-    assert monitor("a >= 1").update(0.0, {"a": math.nan}) == -math.inf
-    assert monitor("1 >= a").update(0.0, {"a": math.nan}) == -math.inf
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(
+    "formula", ["a", "!a", "a >= 1", "1 >= a", "a -> b", "b -> a", "!(a >= 1)", "O a -> b", "H !a", "Y a | b", "!a S b"]
+)
+def test_what_is_unknown_does_not_hold_and_is_forgotten(formula: str) -> None:
+    watched, untold = monitor(formula), monitor(formula)
+    known = [(0.0, {"a": -2.0, "b": 1.0}), (2.0, {"a": -1.0, "b": 3.0}), (3.0, {"a": 2.0, "b": -1.0})]
+    found = [watched.update(*known[0])]
+    assert watched.update(1.0, {"a": math.nan, "b": 1.0}) == -math.inf
+    assert watched.antecedent is None or watched.antecedent(1.0, {"a": math.nan, "b": 1.0}) == -math.inf
+    found += [watched.update(*sample) for sample in known[1:]]
+    assert found == [untold.update(*sample) for sample in known], "as if it had not been told"
+
+
+def test_what_is_infinite_alike_differs_by_nothing() -> None:
+    watched = monitor("a >= b")
+    for a, b, robustness in ((math.inf, math.inf, 0.0), (math.inf, 1.0, math.inf), (1.0, math.inf, -math.inf)):
+        assert watched.update(0.0, {"a": a, "b": b}) == robustness
 
 
 @pytest.mark.parametrize("text", ["", "a &", "(a", "a b", "O[2,1] a", "O[x,1] a", "a $ b", ")", "a >= O"])
