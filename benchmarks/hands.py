@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from modalities.hands.finder import HandFinder
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.stream import HandStream
 from modalities.hands.video import Frame, VideoError, VideoFile
@@ -91,9 +92,10 @@ def bare_rate_hz(file: VideoFile, model: HandModel) -> float:
 
 def our_rate_hz(file: VideoFile, model: HandModel) -> tuple[float, list[float]]:
     """Pictures per second of the whole hand stream, and for each request the seconds from its frame beyond the landmarker."""
-    with HandDetector(model) as detector:
-        timed = Timed(detector._landmarker)
-        detector._landmarker = timed
+    whole, part = HandDetector(model), HandDetector(model, stills=True)
+    timed = Timed(whole._landmarker)
+    whole._landmarker = timed
+    with HandFinder(whole, part) as detector:
         source = Unpaced(file)
         latencies_s: list[float] = []
         ended = threading.Event()

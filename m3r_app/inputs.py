@@ -218,7 +218,7 @@ class Hands:
         """
         # Heavy, and not needed without hands.
         from modalities.hands.camera import Camera, CameraAddress
-        from modalities.hands.landmarker import HandDetector
+        from modalities.hands.finder import HandFinder
         from modalities.hands.video import VideoError, VideoFile
         from modalities.models.catalogue import find_hand_model
 
@@ -227,7 +227,7 @@ class Hands:
         self._stream: _Stream | None = None
         self._file = VideoFile(source) if isinstance(source, Path) else None
         found = find_hand_model()
-        self._detector = HandDetector(found)
+        self._detector = HandFinder.of(found)
         self._camera: Camera | None = None
         if isinstance(source, CameraAddress):
             try:

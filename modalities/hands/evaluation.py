@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from modalities.hands.dwell import HOLD_S, DwellFilter
+from modalities.hands.finder import Detector, HandFinder
 from modalities.hands.gestures import read_hands
-from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import Frame, Picture, VideoFile
 from modalities.models.catalogue import HandModel
 from modalities.outcomes import (
@@ -59,7 +59,7 @@ def evaluate_hands(
     recordings = recordings_in(Path(folder), negatives)
     trials: list[Trial] = []
     no_hand = 0
-    with HandDetector(model) as detector:
+    with HandFinder.of(model) as detector:
         for done, (name, path) in enumerate(recordings):
             progress(done, len(recordings))
             detector.forget()
@@ -95,7 +95,7 @@ def frames_of(path: Path, hold_s: float = HOLD_S) -> Iterator[Frame]:
 
 
 def watch(
-    frames: Iterable[Frame], detector: HandDetector, hold: DwellFilter, *, mirrored: bool = False
+    frames: Iterable[Frame], detector: Detector, hold: DwellFilter, *, mirrored: bool = False
 ) -> tuple[tuple[Answer, ...], bool]:
     """Everything held in one recording, as if it were being captured: a frame cannot be looked at before the detector is done
     with the one before. And whether there was a hand in any frame.
@@ -106,7 +106,7 @@ def watch(
     for frame in frames:
         began = time.perf_counter()
         hands = detector.detect(frame.picture, frame.captured_at_s)
-        held = hold.accept(read_hands(hands, mirrored=mirrored), frame.captured_at_s)
+        held = hold.accept(read_hands(hands, mirrored=mirrored), frame.captured_at_s) if hands is not None else None
         done_s = max(done_s, frame.captured_at_s) + time.perf_counter() - began
         hand_seen = hand_seen or bool(hands)
         if held is not None:

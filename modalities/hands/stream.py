@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from modalities.hands.dwell import DwellFilter, Held
+from modalities.hands.finder import Detector
 from modalities.hands.gestures import Hand, read_hands
-from modalities.hands.landmarker import HandDetector
 from modalities.hands.video import Clock, VideoSource
 from modalities.threaded_stream import ThreadedStream
 from safety.vocabulary import ManeuverRequest, Modality
@@ -26,7 +26,7 @@ class HandStream(ThreadedStream):
     def __init__(
         self,
         source: VideoSource,
-        detector: HandDetector,
+        detector: Detector,
         *,
         clock: Clock,
         on_request: Callable[[ManeuverRequest], None],
@@ -65,6 +65,8 @@ class HandStream(ThreadedStream):
         with closing(self._source.frames(self._stopping)) as frames:  # a camera is let go at once
             for frame in frames:
                 hands = self._detector.detect(frame.picture, frame.captured_at_s)
+                if hands is None:
+                    continue
                 reading = read_hands(hands, mirrored=self._mirrored)
                 held = self._hold.accept(reading, frame.captured_at_s)
                 if self._stopping.is_set():
