@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from m3r_app.arbiter.effects import Effect, Report
-from m3r_app.arbiter.state import Policy
+from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.output import DecisionEvent, RequestEvent
+from m3r_app.record.recorder import RecordError
 from m3r_app.step_record import RecordedFlight, RecordedStep, StateDigest, read_flight
 from safety.limits import Limits
 
@@ -51,8 +52,8 @@ def replay(path: Path, source_sha256: str) -> Replay:
         if missing:
             break  # from here on the state is not known any more
         count, length_s = recorded.number, recorded.t_s
-        state, effects = step(state, recorded.event, recorded.now_s)
-        difference = _compared(flight, recorded, effects, digest.of(state))
+        state, effects, now = _again(path, state, recorded, digest)
+        difference = _compared(flight, recorded, effects, now)
         if difference is not None:
             break
     return Replay(
@@ -64,6 +65,18 @@ def replay(path: Path, source_sha256: str) -> Replay:
         None if "source_sha256" not in flight.metadata else flight.metadata["source_sha256"] == source_sha256,
         difference,
     )
+
+
+def _again(
+    path: Path, state: ArbiterState, recorded: RecordedStep, digest: StateDigest | None = None
+) -> tuple[ArbiterState, tuple[Effect, ...], str]:
+    """One step, and the digest of the state after it. Raises RecordError: what no m3r has written may be anything."""
+    try:
+        state, effects = step(state, recorded.event, recorded.now_s)
+        return state, effects, digest.of(state) if digest is not None else ""
+    except Exception as error:  # noqa: BLE001
+        why = f"step {recorded.number} cannot be taken ({type(error).__name__}: {error}): it holds what no m3r writes"
+        raise RecordError(f"{path} cannot be replayed: {why}") from None
 
 
 def _compared(
@@ -101,7 +114,7 @@ def fates(path: Path, limits: Limits | None = None, policy: Policy | None = None
     state = replace(state, limits=limits or state.limits, policy=policy or state.policy)
     found: dict[str, Fate] = {}
     for recorded in flight.steps():
-        state, effects = step(state, recorded.event, recorded.now_s)
+        state, effects, _ = _again(path, state, recorded)
         for effect in effects:
             if isinstance(effect, Report):
                 _told(found, effect)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -35,11 +36,13 @@ from m3r_app.arbiter import announcements, effects, events, fusion, state
 from m3r_app.arbiter.events import Event
 from m3r_app.arbiter.state import ArbiterState
 from m3r_app.record.recorder import Line, RecordError, read_attachments, read_header, read_lines
-from m3r_app.typed_json import TypedJson, TypedJsonError
+from m3r_app.typed_json import TypedJson
 from safety.constraints import RULES
 from safety.situation import World
 
 START, STEP = "start", "step"
+UNREADABLE = (TypeError, LookupError, AttributeError, ValueError, ArithmeticError, RecursionError)
+"""What taking apart a value that nobody wrote so may raise."""
 _MODULES = (
     safety.vocabulary, safety.limits, safety.declarations, safety.constraints, safety.situation, safety.terrain, safety.obstacles, safety.polygons,
     safety.geofence, safety.estimate, safety.findings, safety.monitor, safety.supervisor, safety.confidence,
@@ -166,10 +169,11 @@ class RecordedFlight:
             try:
                 event = self.text.value(line["event"])
                 now_s = self.text.value(line["now_s"])
+                number = operator.index(line["n"])
                 yield RecordedStep(
-                    line["n"], line["t"], now_s, event, json.dumps(with_effects, separators=(",", ":")), line["state"]
+                    number, line["t"], now_s, event, json.dumps(with_effects, separators=(",", ":")), line["state"]
                 )
-            except (TypedJsonError, TypeError, KeyError, ValueError) as error:
+            except UNREADABLE as error:
                 raise RecordError(f"{self.path} cannot be replayed: step {line.get('n')}: {error}") from None
 
 
@@ -177,23 +181,33 @@ def read_flight(path: Path) -> RecordedFlight:
     """The steps of a record. Raises RecordError for one that has none, or that this m3r cannot take apart."""
     header = read_header(path)
     text = codec()
-    text.documents.update({name.partition(".")[0]: data.decode() for name, data in read_attachments(path)})
+    # One that is no text any more does not have the sha256 that it is asked for by.
+    attached = read_attachments(path)
+    text.documents.update({name.partition(".")[0]: data.decode(errors="replace") for name, data in attached})
     recorded, known = header.metadata.get("shapes"), text.shapes()
+    if recorded is not None and not isinstance(recorded, dict):
+        raise RecordError(f"{path} cannot be replayed: what it says of its values cannot be read")
     for name, names in (recorded or {}).items():
         if known.get(name) != names:
             raise RecordError(
                 f"{path} cannot be replayed: its {name} is not that of this m3r; use the version that made it"
             )
     for _, line in read_lines(path, (START,)):
-        # The rules are functions: what a record has of them is their names.
-        parsed = line["state"]
-        at = 1 + _STATE_FIELDS.index("rules")
-        if parsed[at] != json.loads(text.text(RULES)):
-            raise RecordError(f"{path} cannot be replayed: it was flown under other rules than those of this m3r")
-        parsed[at] = ["()"]
         try:
-            start = text.value(parsed)
-        except (TypedJsonError, TypeError, KeyError, ValueError) as error:
+            start, same_rules = _first_state(line["state"], text)
+        except UNREADABLE as error:
             raise RecordError(f"{path} cannot be replayed: its first state cannot be read ({error})") from None
-        return RecordedFlight(path, header.metadata, header.complete, replace(start, rules=RULES), text)
+        if not same_rules:
+            raise RecordError(f"{path} cannot be replayed: it was flown under other rules than those of this m3r")
+        return RecordedFlight(path, header.metadata, header.complete, start, text)
     raise RecordError(f"{path} cannot be replayed: it holds no steps of the arbiter, so an older m3r made it")
+
+
+def _first_state(written: list[Any], text: TypedJson) -> tuple[ArbiterState, bool]:
+    """The state, and whether its rules are ours: they are functions, of which a record has the names."""
+    at = 1 + _STATE_FIELDS.index("rules")
+    same = written[at] == json.loads(text.text(RULES))
+    start = text.value([*written[:at], ["()"], *written[at + 1 :]])
+    if not isinstance(start, ArbiterState):
+        raise TypeError("it is none")
+    return replace(start, rules=RULES), same

@@ -63,13 +63,16 @@ def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None
     steps = [line for _, line in read_lines(record, (STEP,))]
     try:
         if steps:
-            texts = {name.partition(".")[0]: content.decode() for name, content in read_attachments(record)}
+            attached = read_attachments(record)
+            texts = {name.partition(".")[0]: content.decode(errors="replace") for name, content in attached}
             metadata = {**metadata, "started_s": steps[0]["now_s"] - steps[0]["t"]}
             messages = steps_of(messages, steps, metadata["shapes"], texts)
         flight = flight_of(metadata, messages, closed=header.complete)
-    except (EvidenceError, KeyError, TypeError, UnicodeDecodeError) as error:
+        judgement = judge(flight)
+    except EvidenceError as error:
         raise RecordError(f"{record} cannot be judged: {error}") from None
-    judgement = judge(flight)
+    except Exception as error:  # noqa: BLE001  (what somebody has changed may be anything)
+        raise RecordError(f"{record} cannot be judged: it holds what no m3r writes ({error!r})") from None
     held = property_lines(record) if steps else ()
     judgement = replace(judgement, lines=(*judgement.lines, *held, chain_line(record, key)))
     if ulog is None:
@@ -83,7 +86,20 @@ def judge_record(record: Path, ulog: Path | None = None, key: Path | None = None
 
 
 def property_lines(record: Path) -> tuple[Line, ...]:
-    """Every temporal property over the arbiter's steps, by what they were told and did. Raises RecordError."""
+    """Every temporal property over the arbiter's steps, by what they were told and did.
+
+    One failing line where this m3r cannot take those steps apart: another version's, or changed.
+    """
+    try:
+        return _property_lines(record)
+    except RecordError as error:
+        why = str(error)
+    except Exception as error:  # noqa: BLE001  (what somebody has changed may be anything)
+        why = f"the steps hold what no m3r writes ({error!r})"
+    return (Line("property", "all", "", None, "", False, None, f"cannot be judged: {why}"),)
+
+
+def _property_lines(record: Path) -> tuple[Line, ...]:
     from m3r_app.arbiter.signals import SignalReader
     from m3r_app.step_record import read_flight
     from safety.properties import Watch
@@ -130,7 +146,7 @@ def table(name: str, judgement: Judgement) -> list[str]:
     rows = [COLUMNS]
     for worst, count, failing in judgement.worst():
         verdict = f"FAILS {failing}x" if failing else "holds"
-        rows.append((worst.part, worst.limit, str(count), _margin(worst), worst.subject, _time(worst), verdict))
+        rows.append((worst.part, worst.limit, str(count), _margin(worst), str(worst.subject), _time(worst), verdict))
     widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines += [

@@ -1,8 +1,9 @@
 """The chain of hashes in a flight record: each link covers all that was written since the last one, and carries its hash.
 
 A link is a message of the topic `link`: its number, the sha256 of the last link's sha256 and of every message and metadata
-since (attachments are named in messages by their sha256), and, where a key was given, an Ed25519 signature of that sha256. Whoever edits a record without the key breaks
-the chain; without any key, whoever makes all links anew does not. Source: RFC 8032 (Ed25519).
+since (attachments are named in messages by their sha256), and, where a key was given, an Ed25519 signature of that sha256.
+Whoever edits a record without the key breaks the chain; without any key, whoever makes all links anew does not. Source: RFC 8032
+(Ed25519).
 """
 
 from __future__ import annotations
@@ -35,19 +36,16 @@ class Chain:
         self._last = FIRST
         self._number = 0
         self._since = hashlib.sha256()
-        self.waiting = 0
-        """Parts that no link covers yet."""
 
     def take(self, kind: str, content: bytes) -> None:
         """One part of the record. kind: the topic of a message, or what else it is."""
         _add(self._since, kind, content)
-        self.waiting += 1
 
     def link(self, *, last: bool = False) -> dict[str, object]:
         """The next link. last: the record ends with it."""
         self._number += 1
         digest = _linked(self._last, self._since, last=last)
-        self._last, self._since, self.waiting = digest, hashlib.sha256(), 0
+        self._last, self._since = digest, hashlib.sha256()
         made: dict[str, object] = {"n": self._number, "sha256": digest, "last": last}
         return made if self._key is None else {**made, "signature": self._key.sign(digest.encode()).hex()}
 
@@ -90,7 +88,9 @@ def check(parts: Iterable[tuple[str, bytes]], key: Ed25519PublicKey | None = Non
             _add(since, kind, content)
             uncovered += 1
             continue
-        link = json.loads(content)
+        link = _link(content)
+        if link is None:
+            return ChainCheck(links, f"link {links + 1} cannot be read", uncovered, ended, signed)
         if ended or link.get("n") != links + 1:
             return ChainCheck(links, f"link {link.get('n')} follows link {links}", uncovered, ended, signed)
         digest = _linked(last, since, last=bool(link.get("last")))
@@ -101,6 +101,15 @@ def check(parts: Iterable[tuple[str, bytes]], key: Ed25519PublicKey | None = Non
             signed = False
         last, since, links, uncovered, ended = digest, hashlib.sha256(), links + 1, 0, bool(link.get("last"))
     return ChainCheck(links, "", uncovered, ended, signed)
+
+
+def _link(content: bytes) -> Mapping[str, object] | None:
+    """What a link says; None: nothing that can be read."""
+    try:
+        link = json.loads(content)
+    except (ValueError, RecursionError):
+        return None
+    return link if isinstance(link, dict) else None
 
 
 def _is_signed(link: Mapping[str, object], key: Ed25519PublicKey) -> bool:

@@ -266,8 +266,12 @@ def read_header(path: Path) -> RecordHeader:
     """The metadata of a flight record. Raises RecordError."""
     for record in _records(path):
         if isinstance(record, Metadata) and record.name == METADATA_NAME:
-            metadata = {key: restored(json.loads(text)) for key, text in record.metadata.items()}
-            if metadata["schema_version"] > SCHEMA_VERSION:
+            try:
+                metadata = {key: restored(json.loads(text)) for key, text in record.metadata.items()}
+                newer = metadata["schema_version"] > SCHEMA_VERSION
+            except (KeyError, TypeError, ValueError, RecursionError):
+                raise RecordError(f"flight record {path} is damaged: what it says of itself cannot be read") from None
+            if newer:
                 raise RecordError(
                     f"{path} has record version {metadata['schema_version']}, this m3r reads up to {SCHEMA_VERSION}: "
                     "use a newer m3r"
@@ -285,7 +289,7 @@ def read_record(path: Path) -> Iterator[tuple[str, float, dict[str, Any]]]:
     read_header(path)
     for topic, message in _messages(path):
         if not topic.startswith(VIEW_PREFIX) and topic not in TYPED:
-            data = restored(json.loads(message))
+            data = restored(_object(path, topic, message))
             t_s = data.pop("t")
             yield topic, t_s, data
 
@@ -294,7 +298,24 @@ def read_lines(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, dict[
     """(topic, JSON as it stands) of every message of these topics, in their order. Raises RecordError."""
     for topic, message in _messages(path):
         if topic in wanted:
-            yield topic, json.loads(message)
+            yield topic, _object(path, topic, message)
+
+
+def _object(path: Path, topic: str, message: bytes) -> dict[str, Any]:
+    """One message with its time. Raises RecordError for what is no such thing: somebody has changed the record."""
+    try:
+        told = json.loads(message)
+    except (ValueError, RecursionError):
+        told = None
+    t_s = told.get("t") if isinstance(told, dict) else None
+    if (
+        not isinstance(told, dict)
+        or isinstance(t_s, bool)
+        or not isinstance(t_s, int | float)
+        or not math.isfinite(t_s)
+    ):
+        raise RecordError(f"flight record {path} is damaged: a {topic} message cannot be read")
+    return told
 
 
 def read_attachments(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -320,7 +341,7 @@ def read_parts(path: Path) -> Iterator[tuple[str, bytes]]:
             case Channel():
                 topics[record.id] = record.topic
             case Message():
-                yield topics[record.channel_id], record.data
+                yield _topic(path, topics, record), record.data
             case Metadata():
                 yield record.name, _canonical(record.metadata)
 
@@ -331,7 +352,14 @@ def _messages(path: Path) -> Iterator[tuple[str, bytes]]:
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message):
-            yield topics[record.channel_id], record.data
+            yield _topic(path, topics, record), record.data
+
+
+def _topic(path: Path, topics: dict[int, str], message: Message) -> str:
+    topic = topics.get(message.channel_id)
+    if topic is None:
+        raise RecordError(f"flight record {path} is damaged: a message is of no topic")
+    return topic
 
 
 def _records(path: Path) -> Iterator[object]:

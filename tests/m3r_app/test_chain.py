@@ -79,6 +79,14 @@ def without_a_link(parts: Parts) -> Parts:
     return parts[:at] + parts[at + 1 :]
 
 
+def with_link(content: bytes) -> Callable[[Parts], Parts]:
+    def change(parts: Parts) -> Parts:
+        at = next(i for i, (kind, _) in enumerate(parts) if kind == LINK)
+        return [*parts[:at], (LINK, content), *parts[at + 1 :]]
+
+    return change
+
+
 def with_other_metadata(parts: Parts) -> Parts:
     assert parts[0][0] == "m3r"
     return [("m3r", parts[0][1].replace(b"test", b"tent")), *parts[1:]]
@@ -96,6 +104,10 @@ def with_other_metadata(parts: Parts) -> Parts:
         cut_to_a_link,
         without_a_link,
         with_other_metadata,
+        with_link(b"{"),
+        with_link(b"[]"),
+        with_link(b"\xff"),
+        with_link(b"[" * 100_000),
         lambda _: [],
     ],
 )

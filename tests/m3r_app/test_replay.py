@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
+from config.settings import load_settings
 from m3r_app.arbiter.effects import Effect
 from m3r_app.arbiter.events import Event
 from m3r_app.arbiter.state import ArbiterState, Policy
@@ -31,9 +34,11 @@ from safety.obstacles import Obstacles
 from safety.situation import World
 from safety.terrain import Terrain
 from safety.vocabulary import Command, Ned
-from tests.m3r_app.tabletop import Tabletop
+from tests.m3r_app.tabletop import OPERATOR, Tabletop
 from ui import cli
+from ui.verify import property_lines
 
+FUZZED = int(os.environ.get("M3R_FUZZED", "3"))
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 WORLD = World(
     Terrain(np.linspace(0.0, 9.0, 64).reshape(8, 8) / 3.0, (-20.0, -20.0), ((6.0, 0.0), (0.0, 6.0)), 0.1, 0.0),
@@ -71,7 +76,8 @@ def record(path: Path, change: Callable[[ArbiterState], ArbiterState] = lambda s
     """change: what somebody else's arbiter makes of each state."""
     steps = StepWriter()
     failures: list[str] = []
-    made = Recorder(path, provenance(), failures.append, {START: steps, STEP: steps})
+    told = {"app": "0", "settings": load_settings((), ()).model_dump(), "operator": OPERATOR, "world": WORLD}
+    made = Recorder(path, {**told, **provenance()}, failures.append, {START: steps, STEP: steps})
     state = ArbiterState(Limits(), Policy())
     made.record(START, 0.0, {"state": state})
     for now_s, event in story():
@@ -151,6 +157,63 @@ def test_an_edited_record_is_noticed(tmp_path: Path, edit: bytes, into: bytes, m
     path.write_bytes(data.replace(edit, into, 1))
     found = replay(path, source_sha256())
     assert found.difference is not None
+
+
+EDITS = (b"0", b"9", b"-", b'"', b"[", b"]", b"{", b"}", b",", b":", b"e9", b"null", b"\xff", b"[" * 5000)
+
+
+def test_whatever_bytes_are_edited_is_one_sentence_or_a_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Never a traceback, nor a fault in m3r. Chunks are not packed and their checksums none, so that an edit gets through."""
+    monkeypatch.setattr("m3r_app.record.recorder.COMPRESSION", CompressionType.NONE)
+    monkeypatch.setattr("zlib.crc32", lambda *_: 0)
+    path = record(tmp_path / "flight.mcap")
+    whole, rng = path.read_bytes(), Random(7)
+    # Where values stand: the first state, the first steps, and anywhere.
+    for first, last in ((b'"t":0.0,"state":', b'"n":1,'), (b'"n":1,', b'"n":9,'), (b'"n":1,', b'"n":900000,')):
+        begin = whole.index(first)
+        end = whole.find(last, begin) if last in whole else len(whole)
+        for _ in range(FUZZED):
+            at, edit = rng.randrange(begin, end), rng.choice(EDITS)
+            path.write_bytes(whole[:at] + edit + whole[at + len(edit) :])
+            for command in ("replay", "verify"):
+                status = cli.main([command, str(path)])
+                said = capsys.readouterr().err
+                assert status in (0, 2, 4), (at, edit, said)
+                assert "Traceback" not in said and "fault" not in said and said.count("\n") <= 1, (at, edit, said)
+
+
+@pytest.mark.parametrize("command", ["replay", "verify"])
+@pytest.mark.parametrize(
+    "content", [b"{]", b"[1]", b'{"n":1,"t":"x"}', b"[" * 100_000], ids=["no json", "no object", "no time", "too deep"]
+)
+def test_a_step_that_is_no_json_is_one_sentence(
+    command: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = Recorder._add_text
+
+    def add(self: Recorder, topic: str, schema: str, like: object, text: str, log_ns: int) -> None:
+        texts(self, topic, schema, like, content.decode() if topic == STEP else text, log_ns)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Recorder, "_add_text", add)
+    path = record(tmp_path / "edited.mcap")
+    assert cli.main([command, str(path)]) == 2
+    assert capsys.readouterr().err.endswith("edited.mcap is damaged: a step message cannot be read\n")
+
+
+def test_a_record_of_another_version_is_one_failing_line_of_properties(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record(tmp_path / "old.mcap")
+    monkeypatch.setattr(TypedJson, "shapes", lambda _: {})
+    assert cli.main(["replay", str(path)]) == 2
+    capsys.readouterr()
+    (line,) = property_lines(path)
+    assert not line.passed and line.note.startswith("cannot be judged: ")
+    assert "use the version that made it" in line.note
+    assert cli.main(["verify", str(path)]) == 4
+    assert capsys.readouterr().out.count("cannot be judged") == 1
 
 
 def test_a_record_without_steps_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
