@@ -177,6 +177,11 @@ class Recognizer:
             heard += self._close(now_s)
         return heard
 
+    def contradicts(self, other: Heard) -> bool:
+        """Whether the utterance that is open here has so far been a request, and another one than `other`."""
+        here = self._table.interpret(self._commands.partial)
+        return here is not None and here.command not in {Command.STOP, other.command}
+
     def gap(self, gap: Gap) -> None:
         """Sound is missing. No request is made of half an input: what is open is forgotten if the source went away, and
         only STOP may come of it otherwise.

@@ -113,7 +113,8 @@ class NoisyListener:
 
     def _together(self, plain: list[Heard], clear: list[Heard]) -> list[Heard]:
         """STOP once, whoever hears it first, and the rest of its utterance asks for nothing. Anything else once as well: of who
-        decided when its utterance began, or of the other where that one is very sure and nobody was before it.
+        decided when its utterance began, unless the other has just heard another request in its place; or of the other where that
+        one is very sure and nobody was before it.
         """
         heard: list[Heard] = []
         for one in (*plain, *clear):
@@ -124,6 +125,8 @@ class NoisyListener:
             self._stopped_s = one.made_at_s
         for one in (*clear, *(one for one in plain if one.began_at_s < self._since_s or one.confidence >= SURE_ALONE)):
             if one.command is Command.STOP or one.began_at_s <= max(self._stopped_s, self._asked_s):
+                continue
+            if one in clear and self._plain.contradicts(one):
                 continue
             if one.confidence >= SURE:
                 self._asked_s = one.made_at_s

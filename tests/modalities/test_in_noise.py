@@ -95,8 +95,12 @@ class Says:
 
     def __init__(self, *heard: Heard) -> None:
         self._heard = list(heard)
+        self.open: Command | None = None
         self.fed = 0
         self.forgotten = 0
+
+    def contradicts(self, other: Heard) -> bool:
+        return self.open is not None and self.open is not other.command
 
     def accept(self, chunk: Chunk, *, self_speech: bool = False) -> list[Heard]:
         self.fed += 1
@@ -160,6 +164,16 @@ def test_what_the_plain_one_is_very_sure_of_counts_where_nobody_was_before_it() 
     assert sure(0.95, at(Command.GO_LEFT, 1.0, 0.5)) == [Command.GO_LEFT]
     assert sure(0.95, at(Command.GO_LEFT, 2.0, 0.5)) == [Command.GO_UP]
     assert sure(0.95, at(Command.STOP, 1.0, 0.8)) == [Command.STOP]
+
+
+def test_two_that_hear_different_requests_at_once_ask_for_nothing() -> None:
+    plain = Says()
+    plain.open = Command.GO_RIGHT
+    assert asked(level(-30.0, 2.0), plain, Says(at(Command.GO_LEFT, 1.0, 0.5))) == []
+    plain.open = Command.GO_LEFT
+    assert asked(level(-30.0, 2.0), plain, Says(at(Command.GO_LEFT, 1.0, 0.5))) == [Command.GO_LEFT]
+    plain.open = Command.GO_RIGHT
+    assert asked(level(-30.0, 2.0), plain, Says(at(Command.STOP, 1.0, 0.5))) == [Command.STOP]
 
 
 def test_what_began_before_the_noise_is_decided_by_who_heard_it_whole() -> None:
