@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
@@ -24,6 +24,9 @@ from modalities.script import ScriptedRequest, read_script
 from modalities.voice.push_to_talk import PushToTalk
 from modalities.voice.self_speech import SelfSpeech
 from safety.vocabulary import ManeuverRequest
+
+if TYPE_CHECKING:
+    from modalities.voice.sound_check import Loudness  # loads the sound libraries, which scripts alone do not need
 
 T = TypeVar("T")
 Sink = Callable[[ManeuverRequest], None]
@@ -56,8 +59,8 @@ class Senses:
 
     words: Told = _nobody
     """Of what is being said, so far."""
-    level_dbfs: Callable[[float], None] = _nobody
-    """How loud the sound is, dB below full scale."""
+    loudness: Callable[[Loudness], None] = _nobody
+    """How loud the sound is, and how far the voice stands above the noise."""
     shown: Told = _nobody
     """What the hands show, whenever it changes."""
     hands: Callable[[Sequence[Hand]], None] = _nobody
@@ -187,7 +190,7 @@ class Voice:
             began_s=began_s if microphone is None else 0.0,  # live chunks carry the app's own time
             on_request=lambda request: _post(loop, sink, request),
             on_partial=lambda words: _post(loop, senses.words, words),
-            on_level=lambda level: _post(loop, senses.level_dbfs, level),
+            on_level=lambda loudness: _post(loop, senses.loudness, loudness),
             on_warning=self._say,
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             self_speech=self._self_speech,

@@ -48,6 +48,7 @@ from safety.vocabulary import ManeuverRequest, State
 
 if TYPE_CHECKING:
     from m3r_app.record.foxglove_server import Viewer
+    from modalities.voice.sound_check import Loudness
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals after which the drone is left in Hold and the run ends."""
@@ -366,8 +367,10 @@ class Run:
         self.record("seen", self.clock(), {"modality": "gesture", "shown": shown})
         self.senses = replace(self.senses, shown=shown)
 
-    def _loud(self, level_dbfs: float) -> None:
-        self.senses = replace(self.senses, level_dbfs=level_dbfs, level_at_s=self.clock())
+    def _loud(self, loudness: Loudness) -> None:
+        self.senses = replace(
+            self.senses, level_dbfs=loudness.level_dbfs, snr_db=loudness.snr_db, level_at_s=self.clock()
+        )
 
     def _hands(self, hands: Sequence[Hand]) -> None:
         self.senses = replace(self.senses, hands=tuple(hands), hands_at_s=self.clock())

@@ -64,6 +64,8 @@ class Taken:
     """Partial words, of what is being said."""
     level_dbfs: float = -math.inf
     """Of the sound, in dB below full scale."""
+    snr_db: float | None = None
+    """How far the voice stands above the noise; None: no voice yet that does."""
     level_at_s: float = -math.inf
     shown: str = ""
     """What the hands show."""

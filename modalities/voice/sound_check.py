@@ -44,6 +44,14 @@ class Hearing:
         return None if self.voice_dbfs is None else self.voice_dbfs - self.noise_dbfs
 
 
+@dataclass(frozen=True, slots=True)
+class Loudness:
+    """level_dbfs: of the last chunk; snr_db: see Hearing."""
+
+    level_dbfs: float
+    snr_db: float | None
+
+
 class _Frame(NamedTuple):
     """low_db, high_db: power in the two bands, to the same unit."""
 

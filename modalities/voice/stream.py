@@ -10,7 +10,7 @@ from modalities.voice.capture import level_dbfs
 from modalities.voice.decoder import Heard
 from modalities.voice.in_noise import Listener
 from modalities.voice.self_speech import SelfSpeech
-from modalities.voice.sound_check import SoundCheck
+from modalities.voice.sound_check import Loudness, SoundCheck
 from safety.vocabulary import Command, ManeuverRequest, Modality
 
 Clock = Callable[[], float]
@@ -32,14 +32,14 @@ class VoiceStream(ThreadedStream):
         began_s: float,
         on_request: Callable[[ManeuverRequest], None],
         on_partial: Callable[[str], None] = lambda _text: None,
-        on_level: Callable[[float], None] = lambda _level_dbfs: None,
+        on_level: Callable[[Loudness], None] = lambda _loudness: None,
         on_warning: Callable[[str], None] = lambda _sentence: None,
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         self_speech: SelfSpeech | None = None,
         on_dropped: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """clock: the app's monotonic seconds. on_partial: the words so far, whenever they change.
-        on_level: how loud each chunk is, in dB below full scale. on_warning: what is wrong with the sound, each once. on_end: called last,
+        on_level: how loud each chunk is, and how far the voice stands above the noise. on_warning: what is wrong with the sound, each once. on_end: called last,
         once, with the error that ended the stream, or None where the recording was played or `stop` was called.
 
         self_speech: when the app itself spoke. What was heard while it did is no request, STOP excepted (X4): its words go
@@ -69,9 +69,9 @@ class VoiceStream(ThreadedStream):
             if isinstance(chunk, Gap):
                 self._recognizer.gap(chunk)
             else:
-                self._on_level(level_dbfs(chunk.samples))
                 for warning in self._check.accept(chunk.samples):
                     self._on_warning(warning)
+                self._on_level(Loudness(level_dbfs(chunk.samples), self._check.hearing.snr_db))
                 self._hand_over(self._recognizer.accept(chunk, self_speech=self._speaks(heard_s, heard_s)))
             if self._recognizer.partial != partial:
                 partial = self._recognizer.partial

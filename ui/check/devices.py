@@ -15,6 +15,7 @@ from modalities.voice.audio import CHUNK_SAMPLES, SAMPLE_RATE_HZ, Chunk
 from modalities.voice.capture import FLOOR_DBFS, level_dbfs
 from modalities.voice.devices import MicrophoneError, choose_device, input_devices
 from modalities.voice.microphone import Microphone
+from modalities.voice.sound_check import SoundCheck
 from modalities.voice.vad import QUIETEST_DBFS
 from ui.check.findings import Finding, State, Wanted, parts_of
 
@@ -50,6 +51,7 @@ def _listened(name: str | None) -> Finding:
     """The microphone in question, opened as a run opens it and listened to for LISTEN_S."""
     microphone = Microphone(name, clock=time.monotonic)
     levels: list[float] = []
+    check = SoundCheck()
     try:
         with discarded_stderr():
             microphone.open()
@@ -60,6 +62,7 @@ def _listened(name: str | None) -> Finding:
             try:
                 while len(levels) * CHUNK_S < LISTEN_S and isinstance(one := next(heard, None), Chunk):
                     levels.append(level_dbfs(one.samples))
+                    check.accept(one.samples)
             finally:
                 giving_up.cancel()
                 microphone.close()
@@ -71,6 +74,8 @@ def _listened(name: str | None) -> Finding:
         return Finding("microphone", State.MISSING, f"{sentence} gives no sound", "plug it in again, or choose another")
     loudest, quietest = max(levels), min(levels)
     text = f"{sentence}, level {quietest:.0f} to {loudest:.0f} dBFS in {len(levels) * CHUNK_S:.1f} s"
+    if (snr_db := check.hearing.snr_db) is not None:
+        text += f", the voice {snr_db:.0f} dB above the noise"
     if loudest <= FLOOR_DBFS:
         return Finding(
             "microphone", State.WEAK, f"{text}: digital silence", "unmute it, or choose another with --audio mic:NAME"

@@ -25,6 +25,8 @@ SHORT = {
 }
 QUIET_DBFS = -60.0
 """The left end of the level bar."""
+NOISY_DB = 15.0
+"""A voice that stands less far than this above the noise is misheard one time in ten."""
 RECENT_S = 2.0
 """What was heard or seen longer ago is told with its age."""
 
@@ -78,6 +80,9 @@ def senses(snapshot: Snapshot | None, last: dict[str, tuple[float, float]], widt
         line = Text("voice ")
         line.append("█" * round(share * bar), style=GOOD)
         line.append("░" * (bar - round(share * bar)), style=DIM)
+        if taken.snr_db is not None:
+            near = taken.snr_db < NOISY_DB
+            line.append(f" {'~' if near else ''}{taken.snr_db:.0f} dB", style=NEAR if near else DIM)
         line.append(f" {taken.words}" if taken.words else " -", style="italic")
         lines.append(line.append(_ago(last.get("voice"), now_s)))
     else:
