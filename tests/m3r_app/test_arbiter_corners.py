@@ -4,20 +4,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from m3r_app.arbiter import decisions, wording
+from m3r_app.arbiter import decisions, execution, wording
 from m3r_app.arbiter.announcements import Announce
 from m3r_app.arbiter.context import Step, impossible
-from m3r_app.arbiter.effects import CallOffPairing, ImpossibleTransition, LetGo
+from m3r_app.arbiter.effects import CallOffPairing, FaceOperator, Hold, ImpossibleTransition, LetGo
 from m3r_app.arbiter.events import ClaimLost, FrameMoved, Requested, ReservationAnswered, Tick
+from m3r_app.arbiter.fusion import fused
 from m3r_app.arbiter.preview import WAITS, preview
-from m3r_app.arbiter.state import ArbiterState, Policy
+from m3r_app.arbiter.state import ArbiterState, Leftover, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.output import Notice
 from safety.limits import Limits
-from safety.vocabulary import Cause, Command, Decision, Modality, Ned, Operator, Primitive, State, VehicleState, Verdict
+from safety.supervisor import Intent
+from safety.vocabulary import (
+    Cause,
+    Command,
+    Decision,
+    Finding,
+    FlightMode,
+    Modality,
+    Ned,
+    Operator,
+    Primitive,
+    State,
+    VehicleState,
+    Verdict,
+)
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.test_arbiter import ball, delayed, facing, flying, held, pairing, settling, waiting, wall_at
 
@@ -403,3 +419,165 @@ def test_every_way_back_asks_for_its_own_airspace() -> None:
     assert table.state.tally.approved == 1, "nobody asked for it"
     table.until(State.ARMED, 20.0)
     assert table.state.tally.completed == 0 and table.state.tally.aborted == 1
+
+
+# ---------------------------------------------------------------- exactly at a limit
+
+
+def exact(table: Tabletop, **changes: Any) -> tuple[Step, VehicleState]:
+    """The flight in progress, begun at 64 s, seen at 72 s: numbers that have no rounding."""
+    flight = table.state.flight
+    assert flight is not None
+    vehicle = replace(table.vehicle(), at_s=72.0, **changes)
+    return Step(replace(table.state, vehicle=vehicle, flight=replace(flight, started_at_s=64.0)), 72.0), vehicle
+
+
+@pytest.mark.requirement("X7", "X8")
+def test_a_flight_is_dropped_only_beyond_its_limits() -> None:
+    run, vehicle = exact(flying())
+    for gap_s, dropped in ((0.5, False), (0.5078125, True)):
+        assert (execution.trouble(run, vehicle, replace(vehicle, at_s=72.0 - gap_s)) is not None) == dropped
+    assert execution.trouble(run, vehicle, None) is None
+    elsewhere = replace(vehicle, flight_mode=FlightMode.HOLD)
+    for flown_s, dropped in ((1.0, False), (1.0078125, True)):
+        flight = replace(run.state.flight, started_at_s=72.0 - flown_s)  # type: ignore[type-var]
+        begun = Step(replace(run.state, flight=flight), 72.0)
+        assert (execution.trouble(begun, elsewhere, vehicle) is not None) == dropped
+        assert execution.trouble(begun, vehicle, vehicle) is None
+    assert (
+        execution.trouble(run, replace(vehicle, healthy=False), vehicle) == "the drone reports that it is not healthy"
+    )
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(
+    ("captured_at_s", "now"),
+    [(95.0, True), (94.9921875, False), (100.5, True), (100.5078125, False), (math.nan, False)],
+)
+def test_what_is_of_now_was_asked_within_5_s_and_not_half_a_second_ahead(captured_at_s: float, now: bool) -> None:
+    request = replace(Tabletop().request(Command.GO_LEFT), captured_at_s=captured_at_s)
+    assert decisions.is_of_now(request, 100.0, Limits()) == now
+
+
+@pytest.mark.requirement("X12")
+@pytest.mark.parametrize(("ago_s", "goes_on"), [(30.0, True), (30.0078125, False)])
+def test_what_stop_left_is_kept_half_a_minute(ago_s: float, goes_on: bool) -> None:
+    table = Tabletop().paired()
+    left = Leftover(Primitive.MOVE_LEFT, 0.5, 200.0 - ago_s, 2.0)
+    run = Step(replace(table.state, leftover=left), 200.0)
+    found = decisions.intended(run, table.request(Command.CONTINUE))
+    assert (found == Intent(Primitive.MOVE_LEFT, 0.5, 2.0)) == goes_on
+    assert isinstance(found, Intent | Finding)
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(("age_s", "hears"), [(0.5, True), (0.5078125, False)])
+def test_telemetry_is_heard_for_half_a_second(age_s: float, hears: bool) -> None:
+    table = Tabletop().paired()
+    state = replace(table.state, vehicle=replace(table.vehicle(), at_s=200.0 - age_s))
+    assert Step(state, 200.0).hears == hears
+    assert not Step(replace(state, vehicle=None), 200.0).hears
+
+
+@pytest.mark.requirement("R10", "X10")
+def test_a_way_back_that_gets_no_airspace_is_judged_again_after_a_delay() -> None:
+    table = held()
+    table.grant = "denied"
+    table.until(lambda: bool(table.reserved and "return-1" in table.reserved), 8.0)
+    state = table.state
+    assert state.return_at_s is None and state.may_return
+    assert state.return_judged_from_s == pytest.approx(table.now_s + 3.1)
+    table.wait(4.8)
+    assert "return-2" not in table.reserved, "announced anew first"
+    table.wait(0.6)
+    assert "return-2" in table.reserved
+
+
+@pytest.mark.requirement("R10")
+def test_a_way_back_that_has_begun_is_announced_no_more() -> None:
+    table = held().until(State.RETURN_TO_ANCHOR, 6.0)
+    assert table.state.return_at_s is None and not table.state.may_return
+    flight, session = table.state.flight, table.state.session
+    assert flight is not None and session is not None and session.anchor is not None
+    assert flight.plan.goal == pytest.approx(session.anchor.position)
+
+
+@pytest.mark.requirement("R10")
+def test_the_way_back_ends_as_the_anchor_faced() -> None:
+    table = held()
+    session = table.state.session
+    assert session is not None and session.anchor is not None
+    turned = replace(session.anchor, yaw_deg=session.anchor.yaw_deg + 40.0)
+    table.state = replace(table.state, session=replace(session, anchor=turned))
+    flight = table.until(State.RETURN_TO_ANCHOR, 6.0).state.flight
+    assert flight is not None
+    off_deg = math.remainder(flight.plan.yaw_deg(flight.plan.duration_s) - turned.yaw_deg, 360.0)
+    assert off_deg == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.requirement("X10")
+@pytest.mark.parametrize(("reason", "says"), [("blue holds it", "blue holds it"), ("", "the volume was denied")])
+def test_why_the_airspace_is_not_ours_is_told(reason: str, says: str) -> None:
+    table = waiting()
+    table.put(ReservationAnswered("r2", "denied", reason))
+    found = [f for f in table.decisions("r2")[-1]["findings"] if f["constraint"] == "reservation"]
+    assert [f["text"] for f in found] == [f"the airspace is not ours: {says}"]
+
+
+@pytest.mark.parametrize(
+    ("command", "asked_m"),
+    [(Command.GO_LEFT, 1.0), (Command.GO_UP, 0.5), (Command.TURN_LEFT, None), (Command.CONTINUE, None)],
+)
+def test_a_refusal_tells_what_was_asked(command: Command, asked_m: float | None) -> None:
+    table = Tabletop()
+    name = table.ask(command)
+    (made,) = table.decisions(name)
+    assert (made["requested_m"], made["granted_m"]) == (asked_m, None)
+    assert table.state.tally.rejected == 1 and table.state.tally.approved == 0
+
+
+@pytest.mark.requirement("X5")
+def test_requests_are_remembered_for_two_windows_and_their_age() -> None:
+    table = Tabletop().paired()
+    first = table.ask(Command.GO_LEFT, confidence=0.1)
+    table.wait(6.8)
+    table.ask(Command.GO_UP, confidence=0.1)
+    assert next(r.request.id for r in table.state.recent) == first
+    table.wait(0.4)
+    table.ask(Command.GO_UP, confidence=0.1)
+    assert first not in [r.request.id for r in table.state.recent]
+
+
+@pytest.mark.requirement("X6")
+def test_a_jump_while_it_turns_to_the_operator_begins_its_hover_anew() -> None:
+    table = facing()
+    table.wait(0.6)
+    session = table.state.session
+    assert session is not None and session.hover
+    table.position = table.position.plus(Ned(0.8, 0.0, 0.0))
+    table.now_s += 0.1
+    table.tell()
+    assert table.state.session is not None and table.state.session.hover == ()
+    assert len(table.effects(FaceOperator)) == 2 and Hold("estimate moved") in table.log
+
+
+@pytest.mark.requirement("X6")
+def test_a_jump_moves_the_place_of_pairing_with_it() -> None:
+    table = Tabletop().paired()
+    before = table.state.session
+    table.position = table.position.plus(Ned(0.8, -0.3, 0.1))
+    table.now_s += 0.1
+    table.tell()
+    after = table.state.session
+    assert before is not None and after is not None and before.centre is not None and after.centre is not None
+    assert after.centre.minus(before.centre) == pytest.approx((0.8, -0.3, 0.1), abs=1e-6)
+    assert after.anchor is not None and after.anchor.position == table.position
+    assert table.said()[-1] == "Red: its position estimate jumped by 0.9 m: it holds at where it now believes to be"
+
+
+@pytest.mark.parametrize("low", [0.0, 1.0])
+def test_a_confidence_at_either_end_is_one(low: float) -> None:
+    table = Tabletop()
+    one, other = table.request(Command.GO_LEFT, confidence=low), table.request(Command.GO_LEFT, confidence=0.5)
+    for a, b in ((one, other), (other, one)):
+        assert fused(a, b, "x").confidence == pytest.approx(1.0 - (1.0 - low) * 0.5)

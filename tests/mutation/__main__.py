@@ -196,12 +196,14 @@ def main() -> int:
     todo = [m for m in [*first, *mutants] if m.name not in run.results.known]
     if args.mix:
         random.Random(0).shuffle(todo)
-    if todo:
-        run.forked(todo)
-        run.remember()
-    at_import = [m for m in [*first, *mutants] if run.results.known.get(m.name, ("",))[0] == "afresh"]
-    if at_import:
-        run.from_import(at_import)
+    again = [m for m in todo if m.name in run.results.once]
+    for part in ([m for m in todo if m.name not in run.results.once], again):
+        if part and not run.over:
+            run.forked(part)
+            run.remember()
+        at_import = [m for m in [*first, *mutants] if run.results.known.get(m.name, ("",))[0] == "afresh"]
+        if at_import and not run.over:
+            run.from_import(at_import)
     kept_results.spent_s(time.monotonic() - run.began_s)
     if args.page:
         write(run.results, args.patience, args.jobs)

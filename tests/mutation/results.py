@@ -37,10 +37,13 @@ class Results:
     def __init__(self, kept: Path, tests: str, patience_s: float) -> None:
         self.path, self.tests, self.patience_s = kept / "results.jsonl", tests, patience_s
         self.known: dict[str, tuple[str, str]] = {}
+        self.once: set[str] = set()
+        """What has been tried before, and is to be tried again."""
         kept.mkdir(exist_ok=True)
         for line in self.path.read_text(encoding="utf-8").splitlines() if self.path.is_file() else ():
             each = json.loads(line)
             if each["status"] == "survived" and each["patience_s"] < patience_s:
+                self.once.add(each["name"])
                 continue
             if each["module"] == digest(source(each["of"])) and each["tests"] == self._tests_of(each["by"]):
                 self.known[each["name"]] = each["status"], each["by"]
