@@ -14,7 +14,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safety.findings import mends
+from safety.declarations import GEOFENCE
+from safety.findings import judge, mends, worst
 from safety.geofence import Geofence
 from safety.limits import Limits
 from safety.monitor import Baseline, Watch, stopping_path, watch
@@ -367,3 +368,81 @@ def test_who_is_near_enough_at_the_start_may_not_come_too_near(off_m: float, pas
     path = straight(START.plus(Ned(0.0, 0.04, 0.0)), n=2)
     about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(blue))
     assert separation(path, about, LIMITS).passed == passed
+
+
+@pytest.mark.requirement("X13")
+@pytest.mark.parametrize(
+    ("margins", "between", "passed", "margin"),
+    [
+        ([-0.5, -0.2], [-0.5], True, -0.5),
+        ([0.5, -0.2], [-0.2], False, -0.2),  # it is broken on the way, not at the start
+        ([0.5, 0.2], [-0.1], False, -0.1),
+        ([0.5, 0.2], [-1e-9], True, 0.0),  # rounding
+        ([0.5, 0.2], [-1.1e-9], False, -1.1e-9),
+        ([0.0, 0.2], [0.0], True, 0.0),
+        ([math.inf, 0.2], [0.1], False, None),
+        ([math.inf, -math.inf], [0.1], False, None),
+        ([math.nan, 0.2], [0.1], False, None),
+    ],
+)
+def test_a_limit_passes_by_its_least_margin(
+    margins: list[float], between: list[float], passed: bool, margin: float | None
+) -> None:
+    found = judge(
+        GEOFENCE, margins, between, "fence", "{} too near", "unknown", mending=lambda: True, of="side", subject="x"
+    )
+    assert (found.passed, found.margin) == (passed, margin)
+    assert found.below == ((("side", margin),) if margin is not None and margin < 0.0 else ())
+    assert found.subject == "x"
+
+
+@pytest.mark.requirement("X13")
+def test_what_rises_and_falls_again_does_not_mend() -> None:
+    """It falls to a margin that is better than the first, but worse than it was."""
+    path = straight(START.plus(Ned(1.0, 0.0, 0.0)))
+    assert not mends(path, lambda p: np.where(p[:, 0] < 0.5, p[:, 0], 1.0 - p[:, 0]) - 1.0)
+    assert mends(path, lambda p: np.minimum(p[:, 0], 0.5) - 1.0)
+
+
+def test_of_several_the_worst_failure_is_told_and_the_least_margin_counts() -> None:
+    mended = GEOFENCE.finding(-0.9, "m", True, "mended", (("a", -0.9),))
+    failed = GEOFENCE.finding(-0.2, "m", False, "failed", (("b", -0.2),))
+    fine = GEOFENCE.finding(3.0, "m", True, "fine")
+    found = worst([fine, mended, failed])
+    assert (found.text, found.passed, found.margin) == ("failed", False, -0.9)
+    assert found.below == (("a", -0.9), ("b", -0.2))
+    assert worst([fine, GEOFENCE.refused("m", "unknown")]).text == "unknown"
+    assert worst([fine]) is fine and worst([fine, mended]).text == "mended"
+
+
+@pytest.mark.requirement("R8", "R9")
+@pytest.mark.parametrize(
+    ("up_m", "off_m", "elapsed_s", "speed_m_s", "kinds"),
+    [
+        (0.3, 0.0, 1.0, 0.5, set()),
+        (0.3, 0.0, 1.0, 0.81, {"actual"}),  # 0.5 m/s and 0.3 m/s of gusts
+        (0.3, 0.31, 1.0, 0.5, {"predicted"}),  # off the line
+        (1.3, 0.0, 1.0, 0.5, {"predicted"}),  # too far: the goal is at 0.5 m, and it coasts 0.48 m
+        (0.3, 0.0, 60.0, 0.5, {"predicted"}),  # too long
+        (0.3, 0.0, 60.0, math.nan, {"predicted"}),
+    ],
+)
+def test_a_climb_is_watched_along_its_line(
+    up_m: float, off_m: float, elapsed_s: float, speed_m_s: float, kinds: set[str]
+) -> None:
+    plan = plan_translation(Primitive.ASCEND, START, FACING, OPERATOR_SOUTH, 0.5, LIMITS)
+    about = scene(vehicle=vehicle(**{**ACCURATE, "position": START.plus(Ned(off_m, 0.0, -up_m))}))
+    found = watch(about, plan, elapsed_s, speed_m_s, {}, LIMITS)
+    assert {b.kind for b in found.breaches if b.constraint == "envelope"} == kinds
+
+
+@pytest.mark.requirement("R9")
+def test_nearness_is_measured_in_flight_to_ground_obstacles_and_others() -> None:
+    plan = plan_translation(Primitive.ASCEND, START, FACING, OPERATOR_SOUTH, 0.5, LIMITS)
+    blue = ("blue", START.plus(Ned(0.0, 7.0, 0.0)), Ned(0.0, 0.0, 0.0), 0.4, NOW_S)
+    about = scene(neighbours=sky(blue), world=world(obstacles=wall(6.0)))
+    seen = watch(about, plan, 0.0, 0.0, {}, LIMITS)
+    assert (seen.clearance_m, seen.separation_m) == (pytest.approx(6.0), pytest.approx(7.0))
+    assert watch(replace(about, world=world()), plan, 0.0, 0.0, {}, LIMITS).clearance_m == pytest.approx(10.0)
+    hovering = watch(replace(about, neighbours=sky()), None, 0.0, 0.0, {}, LIMITS)
+    assert (hovering.clearance_m, hovering.separation_m) == (None, None)
