@@ -176,6 +176,11 @@ def properties() -> Iterator[str]:
         "H a <= 2",
         "(a < b) -> O[0,0] a",
         "Y Y a",
+        "Y O[0,1] a",
+        "O[0,3] O[0,1] a",
+        "O[0,1] a & H[0,2] b",
+        "a S O[0,1] b",
+        "!O[1,2] a | b",
     ):
         chance, made = random.Random(5), monitor(text)
         trace = [

@@ -21,11 +21,22 @@ from safety.limits import Limits
 from safety.monitor import watch
 from safety.obstacles import Obstacles
 from safety.planner import plan_return, plan_scan, plan_translation, swept
+from safety.separation import separation
 from safety.situation import Situation, World
 from safety.spatial import agl, geofence, obstacle_clearance, standoff, terrain_clearance
 from safety.supervisor import decide, interpret
 from safety.terrain import Terrain
-from safety.vocabulary import Command, Decision, ManeuverRequest, Modality, Ned, Path, Primitive, Verdict
+from safety.vocabulary import (
+    Command,
+    Decision,
+    ManeuverRequest,
+    Modality,
+    Ned,
+    Path,
+    Primitive,
+    ReservedVolume,
+    Verdict,
+)
 from tests.safety.scene import LIMITS, NOW_S, START, number, situation, sky, vehicle, wall, world
 
 SOUTH = Ned(-10.0, 0.0, 0.0)
@@ -313,3 +324,56 @@ def test_nowhere_is_no_place_to_fly() -> None:
     empty = World(None, Obstacles.none(), None)
     for command in (Command.GO_UP, Command.TURN_LEFT):
         assert ask(command, seen(world=empty)).verdict is Verdict.REJECTED
+
+
+# ---------------------------------------------------------------- what cannot be planned, what is old
+
+
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize(
+    ("command", "asked_m", "primitive"),
+    [(Command.GO_LEFT, 1.0, Primitive.MOVE_LEFT), (Command.TURN_LEFT, None, Primitive.SCAN_LEFT)],
+)
+def test_what_cannot_be_planned_is_refused_as_what_was_asked(
+    command: Command, asked_m: float | None, primitive: Primitive
+) -> None:
+    lost = vehicle(sigma_h_m=0.1, sigma_v_m=0.1, yaw_deg=math.nan)
+    made = ask(command, seen(vehicle=lost))
+    assert (made.request_id, made.primitive, made.verdict) == ("r", primitive, Verdict.REJECTED)
+    assert (made.requested_m, made.granted_m, made.plan) == (asked_m, None, None)
+    assert [f.constraint for f in made.findings] == ["localization"]
+
+
+@pytest.mark.requirement("R6", "X11")
+@pytest.mark.parametrize("age_s", [0.5, -0.5, 0.0])
+def test_who_was_seen_a_moment_ago_may_be_nearer_by_what_can_be_flown_since(age_s: float) -> None:
+    """At rest 7 m away: 3 m, the tube of 0.3 m, and a quarter of a metre in half a second at 2 m/s^2, also of a clock ahead."""
+    blue = ("blue", START.plus(Ned(0.0, 7.0, 0.0)), Ned(0.0, 0.0, 0.0), 0.0, NOW_S - age_s)
+    about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(blue))
+    expected_m = 7.0 - 3.3 - (0.25 if age_s else 0.0)
+    assert number(separation(point(0.0, 0.0, 10.0), about, LIMITS)) == pytest.approx(expected_m)
+
+
+@pytest.mark.requirement("R6")
+@pytest.mark.parametrize(("after_s", "delayed"), [(1.0, True), (2.9, True), (3.6, False), (30.0, False)])
+def test_a_delay_is_for_what_clears_within_its_time(after_s: float, delayed: bool) -> None:
+    """Somebody's volume beside the drone ends so many seconds from now; a delay lasts 3 s."""
+    left = START.plus(Ned(0.0, -2.0, 0.0))
+    lease = ReservedVolume("blue", left, left, 1.5, NOW_S - 1.0, NOW_S + after_s)
+    made = ask(Command.GO_LEFT, seen(reservations=(lease,)), may_delay=True)
+    assert (made.verdict is Verdict.DELAYED) == delayed
+
+
+@pytest.mark.requirement("R6", "X6")
+@pytest.mark.parametrize(("feed_s", "delayed"), [(1.5, True), (4.0, True), (4.0078125, False)])
+def test_a_delay_is_for_a_feed_that_may_come_back(feed_s: float, delayed: bool) -> None:
+    """Heard again within 3 s of having been missed for a second."""
+    made = ask(Command.GO_LEFT, seen(neighbours=sky(feed_at_s=NOW_S - feed_s)), may_delay=True)
+    assert (made.verdict is Verdict.DELAYED) == delayed
+
+
+@pytest.mark.requirement("P3")
+def test_the_shortest_maneuver_is_not_shortened() -> None:
+    short = replace(LIMITS, lateral_step_m=0.1)
+    about = seen(world=world(obstacles=wall(1.9)))
+    assert ask(Command.GO_FORWARD, about, short).verdict is Verdict.REJECTED
