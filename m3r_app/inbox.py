@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from m3r_app.arbiter.events import Event, NeighboursHeard, Requested, TelemetryArrived, Tick
+from m3r_app.arbiter.events import Event, NeighboursHeard, PropertyBroken, Requested, TelemetryArrived, Tick
 from safety.vocabulary import Command
 
 SIZE = 512
 
 
 class Inbox:
-    """The one bounded queue. STOP goes before everything else; of telemetry the oldest is dropped when it is full."""
+    """The one bounded queue. STOP and a property that does not hold go before everything else; of telemetry the oldest is dropped when it is full."""
 
     def __init__(self, size: int = SIZE) -> None:
         self._urgent: deque[Event] = deque()
@@ -23,7 +23,9 @@ class Inbox:
 
     def put(self, event: Event) -> None:
         """Never blocks. From the event loop only."""
-        if isinstance(event, Requested) and event.request.command is Command.STOP:
+        if isinstance(event, PropertyBroken) or (
+            isinstance(event, Requested) and event.request.command is Command.STOP
+        ):
             self._urgent.append(event)
         else:
             self._waiting.append(event)

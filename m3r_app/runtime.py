@@ -47,6 +47,7 @@ from m3r_app.arbiter.step import step
 from m3r_app.inbox import Inbox
 from m3r_app.output import AnnounceEvent, Notice, OutputEvent, PairEvent, PairStatus
 from m3r_app.pairing import Pairing
+from m3r_app.property_watch import PropertyWatch
 from m3r_app.session_frame import in_session_frame
 from m3r_app.snapshot import craft, margins
 from m3r_app.takeoff_landing import GroundWork
@@ -113,6 +114,7 @@ class Shell:
         self._ground_work = ground_work
         self._declared_empty = declared_empty
         self._battery_may_be_unknown = battery_may_be_unknown
+        self._properties = PropertyWatch(state.limits)
         self._shift: Ned | None = None
         self._heard = asyncio.Event()
         """The drone that has been taken has told where it is."""
@@ -140,6 +142,8 @@ class Shell:
             self._recording.record("input", now_s, {"kind": type(event).__name__, "event": _recordable(event)})
         for effect in effects:
             self._carry_out(effect, now_s)
+        for broken in self._properties.after(event, effects, now_s):
+            self.inbox.put(broken)
         self.changed.set()
         self.changed.clear()
 

@@ -78,7 +78,7 @@ RULES: tuple[Rule, ...] = (
     PathRule(d.RESERVATION, others.reservation),
 )
 DECLARED: dict[str, Constraint] = {
-    each.name: each for each in (*(rule.constraint for rule in RULES), d.PAIRED, d.CONTRADICTION)
+    each.name: each for each in (*(rule.constraint for rule in RULES), d.PAIRED, d.PROPERTY, d.CONTRADICTION)
 }
 """By name. A finding names one of these."""
 

@@ -107,4 +107,6 @@ RESERVATION = Constraint(
 )
 # What refuses a request before any rule is asked.
 PAIRED = Constraint("paired", ("P1", "R1"), Spoken("not paired", "not paired"))
+PROPERTY = Constraint("property", (), Spoken("a check of mine failed", "a check of mine failed"))
+"""A temporal property (`safety.properties`) that does not hold. Its requirement is the property's."""
 CONTRADICTION = Constraint("contradiction", (), Spoken("withdrawn", "withdrawn"))

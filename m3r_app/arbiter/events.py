@@ -109,6 +109,15 @@ class ClaimLost:
 
 
 @dataclass(frozen=True, slots=True)
+class PropertyBroken:
+    """A temporal property of the arbiter's own steps does not hold. says: what should. Source: `safety.properties`."""
+
+    requirement: str
+    formula: str
+    says: str
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """Time passes, 10 times a second, whether or not anything else happens."""
 
@@ -133,6 +142,7 @@ Event = (
     | Stalled
     | FrameMoved
     | ClaimLost
+    | PropertyBroken
     | Tick
     | Ended
 )

@@ -2,7 +2,7 @@
 
 Here is what each event means; what then happens is in `requests`, `sessions`, `ground_work`, `decisions`, `execution` and
 `monitoring`, each of which uses only those before it in: `context`, `execution`, `decisions`, `monitoring`, `sessions` and
-`ground_work`, `requests`.
+`ground_work`, `requests` and `distrust`.
 
 Source: paper III-C (pipeline), IV-B (state machine), design "Functional core" and decisions 2-7, 13-15.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from m3r_app.arbiter import decisions, execution, ground_work, monitoring, requests, sessions
+from m3r_app.arbiter import decisions, distrust, execution, ground_work, monitoring, requests, sessions
 from m3r_app.arbiter.context import Step
 from m3r_app.arbiter.effects import Effect, Hold
 from m3r_app.arbiter.events import (
@@ -25,6 +25,7 @@ from m3r_app.arbiter.events import (
     NeighboursHeard,
     PairingAnswered,
     PairingAsked,
+    PropertyBroken,
     Requested,
     ReservationAnswered,
     Stalled,
@@ -78,6 +79,8 @@ def step(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState,
             sessions.leave(run, Cause.AUTHORITY_LOST, "hold", why, notice=notice)
         case ClaimLost():
             sessions.call_off_pairing(run, event.reason)
+        case PropertyBroken():
+            distrust.property_broken(run, event)
         case Tick():
             tick(run)
         case Ended() if state.authority:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from m3r_app.arbiter.effects import Effect, Fly, Hold, Report
-from m3r_app.arbiter.events import Event, Requested, ReservationAnswered
+from m3r_app.arbiter.events import Event, PropertyBroken, Requested, ReservationAnswered, Tick
 from m3r_app.arbiter.signals import SignalReader
-from m3r_app.output import Action, DecisionEvent, ModeEvent, PairEvent, ViolationEvent
+from m3r_app.arbiter.state import ArbiterState, Policy
+from m3r_app.arbiter.step import step
+from m3r_app.output import Action, DecisionEvent, ModeEvent, PairEvent, PairStatus, ViolationEvent
+from m3r_app.property_watch import PropertyWatch
+from m3r_app.step_record import codec
 from safety.limits import Limits
 from safety.properties import PropertyResult, Watch
-from safety.vocabulary import Command, Modality, State, Verdict
+from safety.vocabulary import Cause, Command, Modality, Mode, State, Verdict
 from tests.m3r_app.tabletop import Tabletop
+from tests.m3r_app.tabletop_app import TabletopApp
 
 Steps = list[tuple[float, Event, tuple[Effect, ...]]]
 
@@ -89,14 +96,14 @@ def untold(kind: type) -> Callable[[Steps], Steps]:
     return lambda steps: [(t, e, tuple(x for x in effects if kept(x))) for t, e, effects in steps]
 
 
-def faster(steps: Steps) -> Steps:
-    def change(effect: Effect) -> Effect:
-        if isinstance(effect, Fly):
-            move = replace(effect.plan.move, speed=9.0, distance=99.0)
-            return Fly(replace(effect.plan, move=move))
-        return effect
+def _faster(effect: Effect) -> Effect:
+    if isinstance(effect, Fly):
+        return Fly(replace(effect.plan, move=replace(effect.plan.move, speed=9.0, distance=99.0)))
+    return effect
 
-    return [(t, e, tuple(change(x) for x in effects)) for t, e, effects in steps]
+
+def faster(steps: Steps) -> Steps:
+    return [(t, e, tuple(_faster(x) for x in effects)) for t, e, effects in steps]
 
 
 def ungranted(steps: Steps) -> Steps:
@@ -148,5 +155,132 @@ def test_a_flight_that_breaks_one_is_found(change: Callable[[Steps], Steps], bro
 def test_the_state_is_followed_from_what_is_told() -> None:
     reader = SignalReader(Limits())
     table = flight()
-    for (_, event, after, effects), signals in ((step, reader.read(step[1], step[3])) for step in table.steps):
+    for (_, event, after, effects), signals in ((one, reader.read(one[1], one[3])) for one in table.steps):
         assert (signals["emergency"] > 0) == (after.state is State.EMERGENCY_HOLD), (event, effects)
+
+
+# ---------------------------------------------------------------- a property that does not hold, in flight
+
+
+BROKEN = PropertyBroken("X4", "stop & authority -> hold", "STOP holds at once")
+
+
+def idle() -> Tabletop:
+    return Tabletop()
+
+
+def facing() -> Tabletop:
+    table = Tabletop()
+    table.neighbours()
+    table.tell()
+    table.ask(Command.ACTIVATE)
+    return table
+
+
+def armed() -> Tabletop:
+    return Tabletop().paired()
+
+
+def flying() -> Tabletop:
+    table = armed()
+    table.ask(Command.GO_LEFT)
+    return table.wait(1.0)
+
+
+def asking(table: Tabletop) -> Tabletop:
+    table.grant = None
+    table.ask(Command.GO_UP)
+    return table
+
+
+def asking_while_held() -> Tabletop:
+    table = flying()
+    table.put(BROKEN)
+    return asking(table.wait(3.0))
+
+
+@pytest.mark.requirement("R10", "X4")
+@pytest.mark.parametrize(
+    ("made", "before", "after"),
+    [
+        (idle, State.IDLE, State.IDLE),
+        (facing, State.FACING, State.IDLE),
+        (armed, State.ARMED, State.ARMED),
+        (flying, State.EXECUTING, State.EMERGENCY_HOLD),
+        (lambda: asking(armed()), State.PLANNED, State.SETTLING),
+        (asking_while_held, State.PLANNED, State.EMERGENCY_HOLD),
+    ],
+)
+def test_a_property_that_does_not_hold_is_a_violation_and_a_hold(
+    made: Callable[[], Tabletop], before: State, after: State
+) -> None:
+    table = made()
+    assert table.state.state is before
+    violations, ours = table.state.tally.violations, table.state.authority
+    effects = table.put(BROKEN)
+    assert table.state.state is after
+    assert table.state.tally.violations == violations + 1
+    assert table.reports("violation")[-1]["requirements"] == ["X4"]
+    assert isinstance(effects[0], Hold) == ours
+    assert table.state.flight is None and table.state.deciding is None and table.state.pending is None
+    table.grant = "granted"
+    flown = len(table.effects(Fly))
+    table.wait(6.0)
+    assert len(table.effects(Fly)) == flown, "nothing flies that nobody asks for"
+
+
+def too_fast(state: ArbiterState, event: Event, now_s: float) -> tuple[ArbiterState, tuple[Effect, ...]]:
+    """An arbiter with a fault: it flies everything 99 m far, at up to 9 m/s."""
+    after, effects = step(state, event, now_s)
+    return after, tuple(_faster(effect) for effect in effects)
+
+
+@pytest.mark.requirement("R8", "R10")
+@pytest.mark.parametrize(("arbiter", "broken"), [(step, False), (too_fast, True)])
+def test_a_faulty_arbiter_is_stopped_by_the_shell(
+    arbiter: Callable[..., object], broken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shell watches every step; what it finds is the next event, before all that waits, and so in the record."""
+    table = Timed()
+    table.paired().ask(Command.GO_LEFT)
+    table.wait(1.0)
+    monkeypatch.setattr("m3r_app.runtime.step", arbiter)
+
+    async def replayed() -> TabletopApp:
+        app = TabletopApp()
+        shell = app.shell
+        shell.state = ArbiterState(Limits(), Policy())
+        for at_s, event, _ in table.taken():
+            shell.clock = lambda at_s=at_s: at_s  # type: ignore[misc]
+            app.put(Tick())
+            shell.take(event)
+            first = await shell.inbox.get()
+            if isinstance(first, PropertyBroken):  # before the tick that waited
+                shell.take(first)
+                break
+            while not shell.inbox.empty:  # the tick, and what the shell's own airspace answers: the table's has
+                await shell.inbox.get()
+        await shell.close()
+        return app
+
+    app = asyncio.run(replayed())
+    taken = [data for topic, data in app.recorded if topic == "step"]
+    found = [data for data in taken if isinstance(data["event"], PropertyBroken)]
+    assert bool(found) is broken
+    if broken:
+        assert app.shell.state.state is State.EMERGENCY_HOLD
+        assert taken[-1] is found[0] and isinstance(found[0]["effects"][0], Hold)  # type: ignore[index]
+        assert [one.requirements for one in app.output if isinstance(one, ViolationEvent)] == [("R8",)]
+        text = codec()
+        assert text.value(json.loads(text.text(found[0]["event"]))) == found[0]["event"], "it can be replayed"
+
+
+def test_what_goes_on_not_to_hold_is_told_once() -> None:
+    watch = PropertyWatch(Limits())
+    armed = Report(ModeEvent(Mode.ARMED, Mode.ARMED, State.ARMED, Cause.FACING_OPERATOR))
+    assert [one.requirement for one in watch.after(Tick(), (armed,), 1.0)] == ["P1"]
+    assert watch.after(Tick(), (), 1.1) == (), "still not paired, and told"
+    confirmed = Report(PairEvent("red", PairStatus.CONFIRMED))
+    released = Report(PairEvent("red", PairStatus.RELEASED))
+    assert watch.after(Tick(), (confirmed,), 1.2) == ()
+    assert [one.requirement for one in watch.after(Tick(), (released,), 1.3)] == ["P1"], "once more"

@@ -13,7 +13,7 @@ from safety.vocabulary import Command, Modality, Verdict
 from tests.told import told
 from ui.cues import Cues
 
-CONSTRAINTS = (*(rule.name for rule in RULES), "paired", "contradiction")
+CONSTRAINTS = (*(rule.name for rule in RULES), "paired", "property", "contradiction")
 MOVES = tuple(c.value for c in Command if c not in (Command.STOP, Command.ACTIVATE, Command.DISCONNECT))
 SUBJECTS = ("", "the wall", "blue", "the bus stop", "go left")
 
