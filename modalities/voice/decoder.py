@@ -41,6 +41,8 @@ SECOND_LONGEST_S = 3.0
 SURE = 0.7
 STOP_GAP = 2.0
 """A final *stop* of the commands decoder alone counts if the words decoder explains the audio better by no more than this."""
+STOP_IN_NOISE = 2.0
+"""In noise, *stop* counts too where the commands decoder finds it this little worse than its best guess, and that is no phrase."""
 BEFORE_VOICE_S = 0.5
 """Sound missing this shortly before a voice was heard may have held the beginning of what it said."""
 ALTERNATIVES = 8
@@ -119,8 +121,8 @@ class Decoder:
 class Recognizer:
     """Both decoders and the end of the voice: chunks in, request candidates out. Synchronous, no clock; one per recording."""
 
-    def __init__(self, model: Model, table: PhraseTable) -> None:
-        """Raises ModelError if the model does not know the word *stop*."""
+    def __init__(self, model: Model, table: PhraseTable, *, in_noise: bool = False) -> None:
+        """in_noise: rather a false *stop* than none. Raises ModelError if the model does not know the word *stop*."""
         known = {
             word: model.vosk_model_find_word(word) >= 0
             for word in {*table.words, *OTHER_WORDS, *STOP_RIVALS, UNKNOWN_WORD}
@@ -135,6 +137,7 @@ class Recognizer:
         unknown = (UNKNOWN_WORD,) if known[UNKNOWN_WORD] else ()
         single = tuple(word for word in (*table.words, *OTHER_WORDS) if known[word] and word not in phrases)
         self._table = table
+        self._in_noise = in_noise
         rivals = tuple(word for word in STOP_RIVALS if known[word])
         self._commands = Decoder(model, (*phrases, *rivals, *unknown))
         self._apart = Decoder(model, (*phrases, *rivals, *unknown))
@@ -294,13 +297,19 @@ class Recognizer:
         if not commands or not words:
             return None
         near = words[0].score - commands[0].score <= STOP_GAP
-        if contains_stop(words[0].text) or (commands[0].text == STOP_WORD and near):
-            return Heard(Command.STOP, None, 1.0, words[0].text or STOP_WORD, end_s, now_s)
+        doubtful = self._in_noise and self._may_be_stop(commands)
+        if contains_stop(words[0].text) or (commands[0].text == STOP_WORD and near) or doubtful:
+            text = STOP_WORD if doubtful else words[0].text or STOP_WORD
+            return Heard(Command.STOP, None, 1.0, text, end_s, now_s)
         phrase, text = self._phrase_in(commands, words)
         if phrase is None or phrase.command is Command.STOP:
             return None
         confidence = confidence_of(commands, words, phrase, self._table)
         return Heard(phrase.command, phrase.colour, confidence, text, end_s, now_s)
+
+    def _may_be_stop(self, commands: list[Hypothesis]) -> bool:
+        near = [one.text for one in commands if one.score >= commands[0].score - STOP_IN_NOISE]
+        return bool(near[0]) and STOP_WORD in near and self._table.interpret(near[0]) is None
 
     def _phrase_in(self, commands: list[Hypothesis], words: list[Hypothesis]) -> tuple[Phrase | None, str]:
         """What the commands decoder heard; where that is no phrase ("down up"), what the words decoder heard if the commands decoder

@@ -142,7 +142,7 @@ class NoisyListener:
 def listener(model: Model, table: PhraseTable, denoiser: Denoiser | None) -> Listener:
     """What makes requests of one recording or microphone. denoiser: None where this machine has none."""
     plain = Recognizer(model, table)
-    return plain if denoiser is None else NoisyListener(plain, Recognizer(model, table), denoiser)
+    return plain if denoiser is None else NoisyListener(plain, Recognizer(model, table, in_noise=True), denoiser)
 
 
 def denoiser_here() -> tuple[Denoiser | None, str]:

@@ -1,4 +1,6 @@
-"""Which words go into the grammars, by what the model knows: on a stand-in, as no model with `[unk]` can be had here."""
+"""Which words go into the grammars, by what the model knows, and when a doubtful *stop* counts: on a stand-in for VOSK, as no model with
+`[unk]` can be had here.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,9 @@ import pytest
 
 from modalities.models.catalogue import ModelError
 from modalities.voice import decoder
-from modalities.voice.decoder import UNKNOWN_WORD, Recognizer
+from modalities.voice.decoder import STOP_IN_NOISE, UNKNOWN_WORD, Hypothesis, Recognizer
 from modalities.voice.phrases import OTHER_WORDS, STOP_RIVALS, PhraseTable
+from safety.vocabulary import Command
 
 TABLE = PhraseTable(("red", "green", "blue"))
 EVERY = frozenset((*TABLE.words, *OTHER_WORDS, *STOP_RIVALS, UNKNOWN_WORD))
@@ -62,3 +65,19 @@ def test_a_phrase_with_a_word_that_the_model_lacks_is_left_out_and_told(grammars
         assert "go forward" in grammar
     with pytest.raises(ModelError, match="does not know the word 'stop'"):
         Recognizer(Knows(EVERY - {"stop"}), TABLE)
+
+
+@pytest.mark.requirement("X4")
+@pytest.mark.usefixtures("grammars")
+def test_in_noise_a_stop_that_is_nearly_as_likely_as_no_phrase_counts() -> None:
+    def heard(best: str, behind: float, *, in_noise: bool) -> Command | None:
+        commands = [Hypothesis(best, 50.0), Hypothesis("stop", 50.0 - behind)]
+        words = [Hypothesis("dog", 49.0), Hypothesis(best, 48.0)]
+        found = Recognizer(Knows(EVERY), TABLE, in_noise=in_noise)._understood(commands, words, 1.0, 1.3)
+        return None if found is None else found.command
+
+    assert heard("up", STOP_IN_NOISE - 0.1, in_noise=True) is Command.STOP
+    assert heard("up", STOP_IN_NOISE + 0.1, in_noise=True) is None
+    assert heard("up", STOP_IN_NOISE - 0.1, in_noise=False) is None
+    assert heard("", STOP_IN_NOISE - 0.1, in_noise=True) is None, "nothing was said"
+    assert heard("go up", STOP_IN_NOISE - 0.1, in_noise=True) is Command.GO_UP, "a phrase is no noise"
