@@ -4,7 +4,7 @@ then a part of the picture that goes with the hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
 import cv2
@@ -60,13 +60,16 @@ class Part(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Followed:
-    """Where the hand was last seen, in pixels and pixels a second. missed: pictures since then in which it was not found."""
+    """Where the hand was last seen, in pixels and pixels a second. asks: it showed a gesture; missed: pictures since then in which it
+    was not found.
+    """
 
     x: float
     y: float
     size: float
     speed: tuple[float, float]
     at_s: float
+    asks: bool
     missed: int = 0
 
 
@@ -122,11 +125,11 @@ class HandFinder:
         return self._part.detect_in(picture, self._turns.next(motion))
 
     def _take(self, hands: tuple[Hand, ...], at_s: float) -> tuple[Hand, ...]:
-        """Follow the surest of the hands in a tile, an open palm first."""
+        """Follow the surest of the hands in a tile: an open palm first, then one that shows another gesture."""
         if hands:
-            hand = max(hands, key=lambda one: (read_hand(one).command is Command.STOP, one.score))
+            hand = max(hands, key=lambda one: (_shows(one) is Command.STOP, _shows(one) is not None, one.score))
             x, y, size = _place(hand)
-            self._followed = _Followed(x, y, size, (0.0, 0.0), at_s)
+            self._followed = _Followed(x, y, size, (0.0, 0.0), at_s, _shows(hand) is not None)
         return hands
 
     def _follow(self, last: _Followed, picture: Picture, at_s: float) -> tuple[Hand, ...] | None:
@@ -142,7 +145,7 @@ class HandFinder:
         height, width = picture.shape[:2]
         hands = self._part.detect_in(picture, around(x, y, side, width, height))
         if not hands:
-            self._followed = _Followed(last.x, last.y, last.size, last.speed, last.at_s, last.missed + 1)
+            self._followed = replace(last, missed=last.missed + 1)
             return ()
         nearest = min(hands, key=lambda one: (_place(one)[0] - x) ** 2 + (_place(one)[1] - y) ** 2)
         new_x, new_y, size = _place(nearest)
@@ -153,17 +156,20 @@ class HandFinder:
                 last.speed[0] + FOLLOWING * (measured[0] - last.speed[0]),
                 last.speed[1] + FOLLOWING * (measured[1] - last.speed[1]),
             )
-        self._followed = _Followed(new_x, new_y, size, speed, at_s)
-        return (*hands, *(hand for _, hand in self._others if not _same(hand, nearest)))
+        asks = any(_shows(hand) is not None for hand in hands)
+        self._followed = _Followed(new_x, new_y, size, speed, at_s, asks)
+        # Who was seen elsewhere, once, may object, but asks for nothing.
+        return (*hands, *(hand for _, hand in self._others if not _near(hand, self._followed))) if asks else hands
 
     def _look_elsewhere(self, last: _Followed, picture: Picture, at_s: float) -> tuple[Hand, ...] | None:
-        """Whether anybody else shows anything. An open palm is followed from now on."""
+        """Whether anybody else shows anything. An open palm is followed from now on, and any gesture where this hand shows none."""
         if self._looks % (ELSEWHERE_EVERY * WHOLE_EVERY) == 0:
             found = self._whole.detect(picture, at_s)
         else:
             found = self._look_at_a_tile(picture)
         others = tuple(hand for hand in found if not _near(hand, last))
-        if any(read_hand(hand).command is Command.STOP for hand in others):
+        shown = {_shows(hand) for hand in others} - {None}
+        if Command.STOP in shown or (shown and not last.asks):
             return self._take(others, at_s)
         self._others += tuple((at_s, hand) for hand in others)
         return None
@@ -191,6 +197,6 @@ def _near(hand: Hand, last: _Followed) -> bool:
     return max(abs(x - last.x), abs(y - last.y)) < max(size, last.size)
 
 
-def _same(hand: Hand, other: Hand) -> bool:
-    x, y, size = _place(other)
-    return _near(hand, _Followed(x, y, size, (0.0, 0.0), 0.0))
+def _shows(hand: Hand) -> Command | None:
+    """Its gesture; left and right as in the picture."""
+    return read_hand(hand).command

@@ -19,7 +19,7 @@ from tests.modalities.hand_shapes import make_hand
 WIDTH, HEIGHT, RATE_HZ = 1280, 720, 30.0
 EMPTY = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
 STILL = np.zeros(GRID, np.float32)
-LEFT, RIGHT, PALM = ("-|---", 0.0), ("-|---", 180.0), ("|||||", 90.0)
+LEFT, RIGHT, PALM, FIST = ("-|---", 0.0), ("-|---", 180.0), ("|||||", 90.0), ("-----", 90.0)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (640, 480), (720, 1280), (1920, 1080), (100, 80)])
@@ -139,6 +139,23 @@ def test_another_who_points_elsewhere_objects() -> None:
     room.show((LEFT, 300.0, 200.0), (RIGHT, 1000.0, 500.0))
     seen = watched(finder, 150 * ELSEWHERE_EVERY, begin=200)
     assert DISAGREE in [read_hands(hands) for hands in seen if hands is not None]
+
+
+def test_a_hand_that_was_seen_once_elsewhere_asks_for_nothing_and_is_then_looked_at() -> None:
+    room = Room((FIST, 300.0, 200.0))
+    finder = HandFinder(room, room)
+    watched(finder, 200)
+    room.show((FIST, 300.0, 200.0), (LEFT, 1000.0, 500.0))
+    hold = DwellFilter()
+    seen: list[tuple[Hand, ...]] = []
+    for number in range(150 * ELSEWHERE_EVERY):
+        hands = finder.detect(EMPTY, (200 + number) / RATE_HZ)
+        seen += [hands] if hands is not None else []
+        if hands is not None and hold.accept(read_hands(hands), (200 + number) / RATE_HZ) is not None:
+            break
+    asking = [hands for hands in seen if read_hands(hands).command is Command.GO_LEFT]
+    assert len(asking) >= 10, "by as many pictures as the hold takes, of which each was a look at it"
+    assert all(len(hands) == 1 for hands in asking)
 
 
 def test_a_hand_three_metres_away_is_read_where_the_whole_picture_shows_none(hand_model: HandModel) -> None:
