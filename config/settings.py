@@ -138,6 +138,7 @@ class Gesture(Section):
 
     hold_s: Annotated[float, Ge(0.3), Le(2)]
     mirrored: bool
+    region: Literal["all", "left", "right"]
 
 
 Asks = Literal[

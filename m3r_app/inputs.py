@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from config.settings import Gesture, Settings
 from m3r_app.options import STANDARD_INPUT, LiveMicrophone, RunOptions
-from modalities.hands.gestures import Hand
+from modalities.hands.gestures import Hand, Region
 from modalities.live import Handover, LiveInput, LiveInputError
 from modalities.notices import Say, SenseChange
 from modalities.rooms import LIVE
@@ -230,7 +230,7 @@ class Hands:
         self._stream: _Stream | None = None
         self._file = VideoFile(source) if isinstance(source, Path) else None
         found = find_hand_model()
-        self._detector = HandFinder.of(found)
+        self._detector = HandFinder.of(found, Region(settings.region))
         self._camera: Camera | None = None
         if isinstance(source, CameraAddress):
             try:
@@ -270,6 +270,7 @@ class Hands:
             on_end=lambda error: _post(loop, lambda e: _settle(ended, e), error),
             hold=DwellFilter(self._settings.hold_s),
             mirrored=self._settings.mirrored,
+            region=Region(self._settings.region),
         )
         error = await _played(self._stream, ended)
         if self._camera is not None:

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import cv2
 import numpy as np
 
-from modalities.hands.gestures import Hand, read_hand
+from modalities.hands.gestures import Hand, Region, read_hand
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.tiles import GRID, Grey, Square, Turns, around, motion_between
 from modalities.hands.video import Picture
@@ -76,7 +76,9 @@ class _Followed:
 class HandFinder:
     """Used by one thread at a time; close it."""
 
-    def __init__(self, whole: Whole, part: Part) -> None:
+    def __init__(self, whole: Whole, part: Part, region: Region = Region.ALL) -> None:
+        """region: where the operator's own hands are, which are followed."""
+        self._region = region
         self._whole = whole
         self._part = part
         self._turns: Turns | None = None
@@ -84,11 +86,11 @@ class HandFinder:
         self.forget()
 
     @classmethod
-    def of(cls, model: HandModel) -> Self:
+    def of(cls, model: HandModel, region: Region = Region.ALL) -> Self:
         """Takes seconds. Raises ModelError as HandDetector does."""
         whole = HandDetector(model)
         try:
-            return cls(whole, HandDetector(model, stills=True))
+            return cls(whole, HandDetector(model, stills=True), region)
         except Exception:
             whole.close()
             raise
@@ -127,9 +129,11 @@ class HandFinder:
     def _take(self, hands: tuple[Hand, ...], at_s: float) -> tuple[Hand, ...]:
         """Follow the surest of the hands in a tile: an open palm first, then one that shows another gesture."""
         if hands:
-            hand = max(hands, key=lambda one: (_shows(one) is Command.STOP, _shows(one) is not None, one.score))
+            hand = max(
+                hands, key=lambda one: (self._shows(one) is Command.STOP, self._shows(one) is not None, one.score)
+            )
             x, y, size = _place(hand)
-            self._followed = _Followed(x, y, size, (0.0, 0.0), at_s, _shows(hand) is not None)
+            self._followed = _Followed(x, y, size, (0.0, 0.0), at_s, self._shows(hand) is not None)
         return hands
 
     def _follow(self, last: _Followed, picture: Picture, at_s: float) -> tuple[Hand, ...] | None:
@@ -156,7 +160,7 @@ class HandFinder:
                 last.speed[0] + FOLLOWING * (measured[0] - last.speed[0]),
                 last.speed[1] + FOLLOWING * (measured[1] - last.speed[1]),
             )
-        asks = any(_shows(hand) is not None for hand in hands)
+        asks = any(self._shows(hand) is not None for hand in hands)
         self._followed = _Followed(new_x, new_y, size, speed, at_s, asks)
         # Who was seen elsewhere, once, may object, but asks for nothing.
         return (*hands, *(hand for _, hand in self._others if not _near(hand, self._followed))) if asks else hands
@@ -168,11 +172,16 @@ class HandFinder:
         else:
             found = self._look_at_a_tile(picture)
         others = tuple(hand for hand in found if not _near(hand, last))
-        shown = {_shows(hand) for hand in others} - {None}
+        shown = {self._shows(hand) for hand in others} - {None}
         if Command.STOP in shown or (shown and not last.asks):
             return self._take(others, at_s)
         self._others += tuple((at_s, hand) for hand in others)
         return None
+
+    def _shows(self, hand: Hand) -> Command | None:
+        """Its gesture, left and right as in the picture; of others' hands an open palm alone."""
+        command = read_hand(hand).command
+        return command if command is Command.STOP or self._region.holds(hand) else None
 
     def close(self) -> None:
         """Give its memory and threads back; calling it again does nothing."""
@@ -195,8 +204,3 @@ def _place(hand: Hand) -> tuple[float, float, float]:
 def _near(hand: Hand, last: _Followed) -> bool:
     x, y, size = _place(hand)
     return max(abs(x - last.x), abs(y - last.y)) < max(size, last.size)
-
-
-def _shows(hand: Hand) -> Command | None:
-    """Its gesture; left and right as in the picture."""
-    return read_hand(hand).command

@@ -106,6 +106,7 @@ class Reading:
 
 NO_HAND = Reading(None, 0.0, "no hand")
 DISAGREE = Reading(None, 0.0, "hands that disagree")
+ELSEWHERE = Reading(None, 0.0, "a hand outside the operator's part of the picture")
 TOO_MANY = Reading(None, 0.0, "more hands than can be told apart: only an open palm counts")
 MOST_HANDS = 6
 """So many are looked for at once; where there are as many, there may be more, and one of them an open palm."""
@@ -133,15 +134,29 @@ _LEAST_IN_PLANE = 0.6
 _IN_PLANE_SCALE = 0.05
 
 
-def read_hands(hands: Sequence[Hand], *, mirrored: bool = False) -> Reading:
+class Region(StrEnum):
+    """The part of the picture, as the camera gives it, whose hands are the operator's; others' count for nothing but STOP."""
+
+    ALL = "all"
+    LEFT = "left"
+    RIGHT = "right"
+
+    def holds(self, hand: Hand) -> bool:
+        """By the middle of the hand."""
+        share = float(hand.points_px[:, 0].mean()) / hand.width_px
+        return self is Region.ALL or (share < 0.5 if self is Region.LEFT else share >= 0.5)
+
+
+def read_hands(hands: Sequence[Hand], *, mirrored: bool = False, region: Region = Region.ALL) -> Reading:
     """What all hands in one picture ask for together.
 
     An open palm wins: STOP beats all (X4), and a false one is safe. Otherwise hands that show different gestures ask for nothing; a hand that
     shows none (a fist, a resting hand) does not object. Of MOST_HANDS or more nothing but STOP is taken: one that was not seen might object.
     """
-    readings = [read_hand(hand, mirrored=mirrored) for hand in hands]
+    every = [(hand, read_hand(hand, mirrored=mirrored)) for hand in hands]
+    readings = [reading for hand, reading in every if reading.command is Command.STOP or region.holds(hand)]
     if not readings:
-        return NO_HAND
+        return NO_HAND if not every else ELSEWHERE
     asked = [reading for reading in readings if reading.command is not None]
     if not asked:
         return readings[0]

@@ -10,7 +10,7 @@ from contextlib import closing
 
 from modalities.hands.dwell import DwellFilter, Held
 from modalities.hands.finder import Detector
-from modalities.hands.gestures import Hand, read_hands
+from modalities.hands.gestures import Hand, Region, read_hands
 from modalities.hands.video import Clock, VideoSource
 from modalities.threaded_stream import ThreadedStream
 from safety.vocabulary import ManeuverRequest, Modality
@@ -36,11 +36,12 @@ class HandStream(ThreadedStream):
         on_end: Callable[[Exception | None], None] = lambda _error: None,
         hold: DwellFilter | None = None,
         mirrored: bool = False,
+        region: Region = Region.ALL,
     ) -> None:
         """clock: the app's monotonic seconds, which the source stamps its pictures with. on_seen: what is seen now, whenever
         it changes. on_hands: the hands in every picture. on_warning: why nothing can be recognised, whenever
         that begins. on_end: called last, once, with the error that ended the stream, or None where the video was played or
-        `stop` was called. mirrored: the camera shows the operator as a mirror would. The detector stays the caller's to close.
+        `stop` was called. mirrored: the camera shows the operator as a mirror would. region: where the operator's own hands are. The detector stays the caller's to close.
         """
         super().__init__("hands", on_end)
         self._source = source
@@ -53,6 +54,7 @@ class HandStream(ThreadedStream):
         self._slow = False
         self._hold = DwellFilter() if hold is None else hold
         self._mirrored = mirrored
+        self._region = region
         self._made = 0
 
     @property
@@ -67,7 +69,7 @@ class HandStream(ThreadedStream):
                 hands = self._detector.detect(frame.picture, frame.captured_at_s)
                 if hands is None:
                     continue
-                reading = read_hands(hands, mirrored=self._mirrored)
+                reading = read_hands(hands, mirrored=self._mirrored, region=self._region)
                 held = self._hold.accept(reading, frame.captured_at_s)
                 if self._stopping.is_set():
                     return

@@ -9,7 +9,7 @@ import pytest
 from config.demo.drawn_hand import GESTURES, centre_of, draw, wall
 from modalities.hands.dwell import DwellFilter
 from modalities.hands.finder import ELSEWHERE_EVERY, LOST_S, HandFinder
-from modalities.hands.gestures import DISAGREE, Hand, read_hands
+from modalities.hands.gestures import DISAGREE, Hand, Region, read_hands
 from modalities.hands.landmarker import HandDetector
 from modalities.hands.tiles import GRID, Square, Turns, around, motion_between, tiles
 from modalities.models.catalogue import HandModel
@@ -156,6 +156,15 @@ def test_a_hand_that_was_seen_once_elsewhere_asks_for_nothing_and_is_then_looked
     asking = [hands for hands in seen if read_hands(hands).command is Command.GO_LEFT]
     assert len(asking) >= 10, "by as many pictures as the hold takes, of which each was a look at it"
     assert all(len(hands) == 1 for hands in asking)
+
+
+def test_the_operators_own_hand_is_followed_beside_anothers() -> None:
+    room = Room((LEFT, 300.0, 200.0), (RIGHT, 1000.0, 500.0))
+    for region, command in ((Region.LEFT, Command.GO_LEFT), (Region.RIGHT, Command.GO_RIGHT)):
+        finder = HandFinder(room, room, region)
+        watched(finder, 600)
+        late = [hands for hands in watched(finder, 20, begin=600) if hands is not None]
+        assert {read_hands(hands, region=region).command for hands in late} == {command}
 
 
 def test_a_hand_three_metres_away_is_read_where_the_whole_picture_shows_none(hand_model: HandModel) -> None:

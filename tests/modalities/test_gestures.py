@@ -13,11 +13,13 @@ from hypothesis.extra.numpy import arrays
 
 from modalities.hands.gestures import (
     DISAGREE,
+    ELSEWHERE,
     LEAST_CONFIDENCE,
     MOST_HANDS,
     NO_HAND,
     TOO_MANY,
     Hand,
+    Region,
     finger_states,
     read_hand,
     read_hands,
@@ -143,6 +145,18 @@ def test_two_hands_that_disagree_ask_for_nothing() -> None:
     assert read_hands([left, left]).command is Command.GO_LEFT
     assert read_hands([left, make_hand("-----")]).command is Command.GO_LEFT
     assert read_hands([make_hand("|||||"), left]).command is Command.STOP, "a false stop is safe"
+
+
+@pytest.mark.requirement("X4")
+def test_others_hands_count_for_nothing_but_stop() -> None:
+    mine = make_hand("-|---", PICTURES_RIGHT, at_px=(450.0, 240.0))
+    theirs = make_hand("-|---", PICTURES_LEFT, at_px=(220.0, 240.0))
+    palm = make_hand("|||||", at_px=(220.0, 240.0))
+    assert read_hands([mine, theirs], region=Region.RIGHT).command is Command.GO_LEFT
+    assert read_hands([mine, theirs], region=Region.LEFT).command is Command.GO_RIGHT
+    assert read_hands([theirs], region=Region.RIGHT) == ELSEWHERE
+    assert read_hands([mine, palm], region=Region.RIGHT).command is Command.STOP
+    assert read_hands([], region=Region.RIGHT) == NO_HAND
 
 
 @pytest.mark.requirement("X4")
