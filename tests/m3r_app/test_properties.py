@@ -9,17 +9,27 @@ from dataclasses import replace
 
 import pytest
 
-from m3r_app.arbiter.effects import Effect, Fly, Hold, Report
+from m3r_app.arbiter.effects import Effect, FaceOperator, Fly, Hold, Report
 from m3r_app.arbiter.events import Event, PropertyBroken, Requested, ReservationAnswered, Tick
 from m3r_app.arbiter.signals import SignalReader
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
-from m3r_app.output import Action, DecisionEvent, ModeEvent, PairEvent, PairStatus, ViolationEvent
+from m3r_app.output import (
+    Action,
+    DecisionEvent,
+    FindingTold,
+    ModeEvent,
+    PairEvent,
+    PairStatus,
+    RequestEvent,
+    ViolationEvent,
+)
 from m3r_app.property_watch import PropertyWatch
 from m3r_app.step_record import codec
 from safety.limits import Limits
+from safety.planner import plan_translation
 from safety.properties import PropertyResult, Watch
-from safety.vocabulary import Cause, Command, Modality, Mode, State, Verdict
+from safety.vocabulary import Cause, Command, ManeuverRequest, Modality, Mode, Ned, Primitive, State, Verdict
 from tests.m3r_app.tabletop import Tabletop
 from tests.m3r_app.tabletop_app import TabletopApp
 
@@ -284,3 +294,75 @@ def test_what_goes_on_not_to_hold_is_told_once() -> None:
     released = Report(PairEvent("red", PairStatus.RELEASED))
     assert watch.after(Tick(), (confirmed,), 1.2) == ()
     assert [one.requirement for one in watch.after(Tick(), (released,), 1.3)] == ["P1"], "once more"
+
+
+# ---------------------------------------------------------------- the signals, step by step
+
+
+def found(passed: bool, constraint: str = "agl") -> FindingTold:
+    return FindingTold((), constraint, None, "", passed, "")
+
+
+def decided(verdict: Verdict, *passed: bool, granted: tuple[bool, ...] = (), why: str = "agl") -> Report:
+    findings = tuple(found(one, why) for one in passed)
+    return Report(DecisionEvent("r", verdict, 1.0, 0.4, findings, tuple(found(one) for one in granted)))
+
+
+def mode(state: State) -> Report:
+    return Report(ModeEvent(Mode.ARMED, Mode.ARMED, state, Cause.TOLD))
+
+
+PLAN = plan_translation(Primitive.MOVE_LEFT, Ned(10.0, 0.0, -10.0), 180.0, Ned(0.0, 0.0, 0.0), 0.5, Limits())
+ASKED = ManeuverRequest("r", Command.STOP, Modality.VOICE, 0.9, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("event", "effects", "signals"),
+    [
+        (Tick(), (), {"stop": -1, "hold": -1, "commanded": -1, "start": -1, "start_any": -1, "granted": -1, "peak_m_s": 0}),
+        (Tick(), (), {"asked_m": 0, "granted_m": 0, "length_m": 0, "duration_s": 0, "duration_limit_s": 0, "low": -1}),
+        (Tick(), (), {"speed_limit_m_s": 0.5, "length_limit_m": 1.0, "cleared": -1, "reduced": -1, "aborting": -1}),
+        (Requested(ASKED, 0.0), (Hold("stop"),), {"stop": 1, "hold": 1, "commanded": 1}),
+        (Requested(replace(ASKED, command=Command.GO_UP), 0.0), (FaceOperator(1.0),), {"stop": -1, "hold": -1, "commanded": 1}),
+        (Tick(), (Fly(PLAN),), {"start": 1, "start_any": 1, "commanded": 1, "length_m": 0.5, "peak_m_s": 0.5}),
+        (Tick(), (Fly(PLAN),), {"duration_s": PLAN.duration_s, "duration_limit_s": PLAN.max_duration_s}),
+        (Tick(), (Fly(PLAN), mode(State.RETURN_TO_ANCHOR), mode(State.ARMED)), {"start": -1, "start_any": 1}),
+        (Tick(), (mode(State.EXECUTING),), {"armed": 1, "flying": 1, "authority": 1, "blocked": -1, "emergency": -1}),
+        (Tick(), (mode(State.RETURN_TO_ANCHOR),), {"armed": 1, "flying": 1}),
+        (Tick(), (mode(State.FACING),), {"armed": -1, "flying": -1, "authority": 1}),
+        (Tick(), (mode(State.PAIRING),), {"armed": -1, "authority": -1}),
+        (Tick(), (mode(State.BLOCKED),), {"blocked": 1, "flying": -1}),
+        (Tick(), (mode(State.EMERGENCY_HOLD),), {"emergency": 1}),
+        (Tick(), (Report(PairEvent("red", PairStatus.CONFIRMED)),), {"paired": 1}),
+        (Tick(), (Report(PairEvent("red", PairStatus.REFUSED)),), {"paired": -1}),
+        (Tick(), (Report(PairEvent("red", PairStatus.CONFIRMED)), Report(PairEvent("b", PairStatus.REFUSED))), {"paired": 1}),
+        (Tick(), (Report(PairEvent("red", PairStatus.CONFIRMED)), Report(PairEvent("b", PairStatus.RELEASED))), {"paired": -1}),
+        (ReservationAnswered("r", "granted"), (), {"granted": 1}),
+        (ReservationAnswered("r", "denied"), (), {"granted": -1}),
+        (Tick(), (decided(Verdict.APPROVED, True, True),), {"cleared": 1, "reduced": -1, "asked_m": 0}),
+        (Tick(), (decided(Verdict.APPROVED, True, False),), {"cleared": -1}),
+        (Tick(), (decided(Verdict.REJECTED, True),), {"cleared": -1, "low": -1}),
+        (Tick(), (decided(Verdict.REDUCED, False, granted=(True,)),), {"cleared": 1, "reduced": 1, "asked_m": 1.0, "granted_m": 0.4}),
+        (Tick(), (decided(Verdict.REDUCED, True, granted=(False, True)),), {"cleared": -1, "reduced": 1}),
+        (Tick(), (decided(Verdict.REJECTED, False, True, why="input_confidence"),), {"low": 1}),
+        (Tick(), (decided(Verdict.REJECTED, False, False, why="input_confidence"),), {"low": -1}),
+        (Tick(), (decided(Verdict.DELAYED, False, why="input_confidence"),), {"low": -1}),
+        (Tick(), (decided(Verdict.REJECTED, False), decided(Verdict.REJECTED, False, why="input_confidence")), {"low": 1}),
+        (Tick(), (Report(ViolationEvent("actual", (), "agl", -1.0, Action.ABORT, "")),), {"aborting": 1}),
+        (Tick(), (Report(ViolationEvent("actual", (), "agl", -1.0, Action.MENDING, "")),), {"aborting": -1}),
+        (Tick(), (Report(RequestEvent("r", Command.GO_UP, Modality.VOICE, 0.9, "", 1.0)),), {"request": 1}),
+        (Tick(), (Report(RequestEvent("r", Command.STOP, Modality.VOICE, 0.9, "", 1.0)),), {"request": -1}),
+    ],
+)  # fmt: skip
+def test_what_a_step_says(event: Event, effects: tuple[Effect, ...], signals: dict[str, float]) -> None:
+    read = SignalReader(Limits()).read(event, effects)
+    assert {name: read[name] for name in signals} == pytest.approx(signals, abs=1e-8)
+    assert read["speed_limit_m_s"] > 0.5 and read["length_limit_m"] > 1.0, "rounding is no violation"
+
+
+def test_authority_lasts_for_the_step_that_ends_it() -> None:
+    reader = SignalReader(Limits())
+    said = [
+        reader.read(Tick(), effects)["authority"] for effects in ((), (mode(State.ARMED),), (mode(State.IDLE),), ())
+    ]
+    assert said == [-1.0, 1.0, 1.0, -1.0]

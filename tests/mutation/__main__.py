@@ -201,9 +201,9 @@ def main() -> int:
         if part and not run.over:
             run.forked(part)
             run.remember()
-        at_import = [m for m in [*first, *mutants] if run.results.known.get(m.name, ("",))[0] == "afresh"]
-        if at_import and not run.over:
-            run.from_import(at_import)
+    at_import = [m for m in [*first, *mutants] if run.results.known.get(m.name, ("",))[0] == "afresh"]
+    if at_import and not run.over:
+        run.from_import(at_import)
     kept_results.spent_s(time.monotonic() - run.began_s)
     if args.page:
         write(run.results, args.patience, args.jobs)
