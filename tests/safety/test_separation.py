@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -353,3 +354,65 @@ def test_a_volume_that_is_no_number_is_refused(bad: float) -> None:
         with np.errstate(invalid="ignore"):
             found = reservation(north(), situation(reservations=(held,)), LIMITS)
         assert not found.passed
+
+
+# ---------------------------------------------------------------- who is silent, by hand
+
+
+def beside(name: str, east_m: float, ago_s: float, velocity: Ned = STILL) -> tuple[str, Ned, Ned, float, float]:
+    return name, START.plus(Ned(0.0, east_m, 0.0)), velocity, 0.0, NOW_S - ago_s
+
+
+@pytest.mark.requirement("R11", "X6")
+@pytest.mark.parametrize(
+    ("aircraft", "says", "margin"),
+    [
+        ([beside("a", 6.0, 2.0), beside("b", 7.0, 4.0)], "b", -3.0),  # the one unheard for longest
+        ([beside("a", 6.0, 4.0), beside("b", 7.0, 2.0)], "a", -3.0),
+        ([beside("a", 90.0, 2.0), beside("b", 8.0, 0.5)], "", 1.0),  # too far to matter; fresh
+        ([beside("a", 8.0, 0.5), beside("b", 9.0, 2.0)], "b", -1.0),
+        ([beside("a", 9.0, -2.0)], "a", -1.0),  # a clock ahead tells as little
+        ([beside("a", 6.0, 1.0)], "", 1.0),  # exactly as old as may be
+        # At rest for 2 s: 3 m, the tube of 0.3 m, 4 m at 2 m/s^2, and a ball of 2 m/s; nearer than 11.3 m it could be too close.
+        ([beside("a", 11.35, 2.0)], "", 1.0),
+        ([beside("a", 11.25, 2.0)], "a", -1.0),
+    ],
+)
+def test_who_is_silent_and_could_be_near_is_named(aircraft: list[Any], says: str, margin: float) -> None:
+    about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(*aircraft))
+    found = neighbour_age(hover(), about, LIMITS)
+    assert (found.subject, found.passed) == (says, not says)
+    assert number(found) == pytest.approx(margin)
+
+
+@pytest.mark.requirement("R11", "X6")
+@pytest.mark.parametrize(
+    ("shares", "passed"), [((0.0, 1.0), False), ((0.0, 0.1, 1.0), False), ((0.0, 0.25, 0.5, 0.75, 1.0), True)]
+)
+def test_between_two_points_of_a_path_a_silent_one_could_be_nearer(shares: tuple[float, ...], passed: bool) -> None:
+    """20 m along; at 2 s silent somebody 14 m beside the middle could be too close from 11.3 m on."""
+    about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(beside("a", 14.0, 2.0)))
+    points = np.array([START.plus(Ned(20.0 * share - 10.0, 0.0, 0.0)) for share in shares])
+    assert neighbour_age(Path(points, np.array(shares)), about, LIMITS).passed == passed
+
+
+@pytest.mark.requirement("R6", "X13")
+@pytest.mark.parametrize(
+    ("goes", "speed", "passed"),
+    [
+        (Ned(-1.0, 0.0, 0.0), 0.0, True),  # away from who is too near
+        (Ned(1.0, 0.0, 0.0), 0.0, False),
+        (Ned(0.04, 0.0, 0.0), 0.0, True),  # within what velocities are wrong by
+        (Ned(0.06, 0.0, 0.0), 0.0, False),
+        (Ned(-1.0, 0.0, 0.0), -0.2, False),  # who follows catches up where the path ends
+        (Ned(0.0, 0.0, 0.0), -0.004, True),  # 4 cm in the 10 s that the hover is looked at
+        (Ned(0.0, 0.0, 0.0), -0.006, False),
+    ],
+)
+def test_who_is_too_near_may_not_come_nearer_by_hand(goes: Ned, speed: float, passed: bool) -> None:
+    """Somebody hovers 3 m ahead, or flies southwards at so many m/s."""
+    ahead = ("a", START.plus(Ned(3.0, 0.0, 0.0)), Ned(speed, 0.0, 0.0), 0.0, NOW_S)
+    about = situation(vehicle=vehicle(sigma_h_m=0.0, sigma_v_m=0.0), neighbours=sky(ahead))
+    path = straight(START.plus(goes), n=5)
+    found = separation(path, about, LIMITS)
+    assert found.passed == passed and number(found) < 0.0 and found.subject == "a"
