@@ -3,7 +3,8 @@
     .venv/bin/python -m scripts.trace_page
 
 Code: modules whose text names the id. Tests: files with tests that are marked with it, and how many. Record: the findings of
-the constraints that serve it, as the topics `decision`, `margins` and `violation` of a flight record name them.
+the constraints that serve it, as the topics `decision`, `margins` and `violation` of a flight record name them. Properties: its
+formulas over time, which are watched in flight and judged by `m3r verify`, or why there is none.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 from collections import Counter
 from pathlib import Path
 
+from safety.properties import NO_PROPERTY, PROPERTIES, R11_AS_DESIGNED
 from safety.requirements import REQUIREMENTS
 from tests.trace import trace
 from ui.requirements import served_by
@@ -28,8 +30,8 @@ HEADING = """# What holds each requirement
 Made by `.venv/bin/python -m scripts.trace_page` from the code and the tests; a test holds that it is up to date. The sentences and their FRETish
 are printed by `m3r requirements`; single tests by `make trace`.
 
-| id | requirement | code that names it | tests | findings in the record |
-|---|---|---|---|---|
+| id | requirement | code that names it | tests | findings in the record | properties over time |
+|---|---|---|---|---|---|
 """
 
 
@@ -41,6 +43,13 @@ def naming(requirement: str) -> list[str]:
     return [name for name in named if name not in TABLES]
 
 
+def properties(requirement: str) -> str:
+    """The formulas that state it, or a part of it; else why none does."""
+    stating = (one.formula for one in (*PROPERTIES, R11_AS_DESIGNED) if requirement in (one.requirement, *one.also))
+    found = "; ".join(f"`{formula}`".replace("|", "\\|") for formula in stating)
+    return found or f"none: {NO_PROPERTY[requirement]}"
+
+
 def page() -> str:
     """The whole page."""
     rows = []
@@ -49,7 +58,9 @@ def page() -> str:
         held = ", ".join(f"`{name}` {count}" for name, count in sorted(files.items()))
         code = ", ".join(f"`{name}`" for name in naming(requirement))
         found = ", ".join(f"`{name}`" for name in served_by(requirement)) or "-"
-        rows.append(f"| {requirement} | {REQUIREMENTS[requirement]} | {code} | {held} | {found} |")
+        rows.append(
+            f"| {requirement} | {REQUIREMENTS[requirement]} | {code} | {held} | {found} | {properties(requirement)} |"
+        )
     return HEADING + "\n".join(rows) + "\n"
 
 

@@ -6,11 +6,22 @@ import asyncio
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
 from m3r_app.arbiter.effects import Effect, FaceOperator, Fly, Hold, Report
-from m3r_app.arbiter.events import Event, PropertyBroken, Requested, ReservationAnswered, Tick
+from m3r_app.arbiter.events import (
+    Event,
+    PairingAnswered,
+    PropertyBroken,
+    Requested,
+    ReservationAnswered,
+    Stalled,
+    TelemetryArrived,
+    Tick,
+)
+from m3r_app.arbiter.margins import SIGNAL_OF
 from m3r_app.arbiter.signals import SignalReader
 from m3r_app.arbiter.state import ArbiterState, Policy
 from m3r_app.arbiter.step import step
@@ -26,11 +37,14 @@ from m3r_app.output import (
 )
 from m3r_app.property_watch import PropertyWatch
 from m3r_app.step_record import codec
+from safety.constraints import RULES
 from safety.limits import Limits
 from safety.planner import plan_translation
-from safety.properties import PropertyResult, Watch
+from safety.properties import LITERAL, NO_PROPERTY, PROPERTIES, R11_AS_DESIGNED, PropertyResult, Watch
+from safety.requirements import REQUIREMENTS
+from safety.temporal import monitor
 from safety.vocabulary import Cause, Command, ManeuverRequest, Modality, Mode, Ned, Primitive, State, Verdict
-from tests.m3r_app.tabletop import Tabletop
+from tests.m3r_app.tabletop import FLAT, OPERATOR, Tabletop
 from tests.m3r_app.tabletop_app import TabletopApp
 
 Steps = list[tuple[float, Event, tuple[Effect, ...]]]
@@ -51,6 +65,7 @@ class Timed(Tabletop):
         return [(at_s, event, effects) for at_s, (_, event, _, effects) in zip(self.at_s, self.steps, strict=True)]
 
 
+@cache
 def flight() -> Timed:
     """Flown, shortened at the workspace, refused for confidence, stopped, gone on with."""
     table = Timed(limits=replace(Limits(), workspace_m=1.5))
@@ -63,6 +78,7 @@ def flight() -> Timed:
         (Command.CONTINUE, 0.9, 8.0),
         (Command.GO_FORWARD, 0.9, 1.0),
         (Command.GO_RIGHT, 0.4, 4.0),
+        (Command.TURN_LEFT, 0.9, 30.0),
     ):
         table.ask(command, Modality.VOICE, confidence)
         table.wait(wait_s)
@@ -83,7 +99,7 @@ def test_a_flight_holds_them_all() -> None:
     found = judged(flight().taken())
     assert [name for name, result in found.items() if not result.holds] == []
     vacuous = {name.split()[0] for name, result in found.items() if result.vacuous}
-    assert vacuous <= {"R10", "P3"}, "what it does not come to is said"
+    assert vacuous == {"R10", "X5", "X7"}, "what it does not come to is said"
 
 
 def without(kind: type) -> Callable[[Steps], Steps]:
@@ -138,10 +154,107 @@ def aborted_without_a_hold(steps: Steps) -> Steps:
     return [*steps[:at], (t, event, (*effects, Report(broken))), *steps[at + 1 :]]
 
 
+def judged_otherwise(rule: str, change: Callable[[FindingTold], tuple[FindingTold, ...]]) -> Callable[[Steps], Steps]:
+    """What the decisions say of one rule is something else."""
+
+    def changed(findings: tuple[FindingTold, ...]) -> tuple[FindingTold, ...]:
+        return tuple(x for f in findings for x in (change(f) if f.constraint == rule else (f,)))
+
+    def told(effect: Effect) -> Effect:
+        if isinstance(effect, Report) and isinstance(effect.told, DecisionEvent):
+            one = effect.told
+            new = replace(one, findings=changed(one.findings), granted_findings=changed(one.granted_findings))
+            return Report(new)
+        return effect
+
+    return lambda steps: [(t, e, tuple(told(x) for x in effects)) for t, e, effects in steps]
+
+
+def failing(rule: str) -> Callable[[Steps], Steps]:
+    return judged_otherwise(rule, lambda f: (replace(f, margin=-0.2, passed=False),))
+
+
+def unasked(rule: str) -> Callable[[Steps], Steps]:
+    return judged_otherwise(rule, lambda _: ())
+
+
+def twice(steps: Steps) -> Steps:
+    """The first maneuver begins once more when it is over."""
+    at = next(i for i, (_, _, effects) in enumerate(steps) if any(isinstance(x, Fly) for x in effects))
+    return [*steps, (steps[-1][0], *steps[at][1:])]
+
+
+def while_flying(*more: Effect, event: Event = Tick()) -> Callable[[Steps], Steps]:  # noqa: B008  (it is frozen)
+    """In the middle of the first maneuver, this step."""
+
+    def change(steps: Steps) -> Steps:
+        at = next(i for i, (_, _, effects) in enumerate(steps) if any(isinstance(x, Fly) for x in effects)) + 2
+        return [*steps[:at], (steps[at][0], event, more), *steps[at:]]
+
+    return change
+
+
+def unheard(steps: Steps) -> Steps:
+    return [(t, Tick() if isinstance(e, TelemetryArrived) else e, effects) for t, e, effects in steps]
+
+
+def unaccepted(steps: Steps) -> Steps:
+    return [
+        (t, replace(e, reasons=("not ready",)) if isinstance(e, PairingAnswered) else e, effects)
+        for t, e, effects in steps
+    ]
+
+
+def spinning(steps: Steps) -> Steps:
+    def change(effect: Effect) -> Effect:
+        if isinstance(effect, Fly) and effect.plan.primitive.is_scan:
+            return Fly(replace(effect.plan, turn=replace(effect.plan.turn, speed=90.0, acceleration=90.0)))
+        return effect
+
+    return [(t, e, tuple(change(x) for x in effects)) for t, e, effects in steps]
+
+
+def flown_while_flying(steps: Steps) -> Steps:
+    fly = next(x for _, _, effects in steps for x in effects if isinstance(x, Fly))
+    return while_flying(fly, event=ReservationAnswered("r9", "granted"))(steps)
+
+
+CONTRADICTED = Report(
+    DecisionEvent(
+        "r9",
+        Verdict.REJECTED,
+        None,
+        None,
+        (FindingTold(("X5",), "contradiction", None, "", False, "voice says left but panel said right"),),
+    )
+)
+
+
 def longer_than_asked(steps: Steps) -> Steps:
     return told_otherwise(DecisionEvent, verdict=Verdict.REDUCED, requested_m=0.5, granted_m=0.9)(steps)
 
 
+OF_RULE = {
+    "input_confidence": "G1",
+    "localization": "R11",
+    "terrain_confidence": "R11",
+    "neighbour_age": "R11",
+    "envelope": "R8",
+    "workspace": "R7",
+    "session": "X1",
+    "geofence": "G4",
+    "standoff": "X2",
+    "terrain_clearance": "R4",
+    "agl": "G5",
+    "obstacle_clearance": "R4",
+    "separation": "R6",
+    "reservation": "R5",
+}
+"""The property that each rule's margin is in."""
+
+
+@pytest.mark.requirement("R1", "R4", "R5", "R6", "R7", "R8", "R11", "G1", "G2", "G3", "G4", "G5", "X1", "X2", "X5")
+@pytest.mark.requirement("X6", "X7", "X8", "X9", "X14")
 @pytest.mark.parametrize(
     ("change", "broken"),
     [
@@ -155,11 +268,43 @@ def longer_than_asked(steps: Steps) -> Steps:
         (without(Hold), "X4"),
         (flown_after_stop, "X4"),
         (ungranted, "X10"),
+        (untold(RequestEvent), "R1"),
+        (twice, "X5"),
+        (while_flying(CONTRADICTED), "X5"),
+        (unheard, "X6"),
+        (while_flying(event=Stalled("it stalled")), "X7"),
+        (unaccepted, "X8"),
+        (spinning, "X9"),
+        (flown_while_flying, "X14"),
+        *((change(rule), broken) for change in (failing, unasked) for rule, broken in OF_RULE.items()),
     ],
 )
 def test_a_flight_that_breaks_one_is_found(change: Callable[[Steps], Steps], broken: str) -> None:
     found = judged(change(flight().taken()))
     assert broken in {name.split()[0] for name, result in found.items() if not result.holds}
+
+
+def test_every_requirement_is_a_property_or_says_why_not() -> None:
+    stated = {name for one in (*PROPERTIES, R11_AS_DESIGNED) for name in (one.requirement, *one.also)}
+    assert stated.isdisjoint(NO_PROPERTY)
+    assert stated | NO_PROPERTY.keys() == REQUIREMENTS.keys()
+    assert SIGNAL_OF.keys() == {rule.name for rule in RULES}
+
+
+def test_every_signal_that_a_property_names_is_told() -> None:
+    told = SignalReader(Limits()).read(Tick(), ())
+    for one in (*PROPERTIES, R11_AS_DESIGNED, LITERAL):
+        assert monitor(one.formula).names <= told.keys(), one
+
+
+def test_what_is_only_mended_and_what_is_near_nothing_holds() -> None:
+    mends = judged_otherwise("agl", lambda f: (replace(f, margin=-0.2, passed=True),))
+    alone = judged_otherwise("separation", lambda f: (replace(f, margin=None, passed=True),))
+    found = judged(alone(mends(flight().taken())))
+    assert found["G5 granting -> agl_m >= 0"].robustness == 0.0
+    assert found["R6 granting -> separation_m >= 0"].holds
+    unknown = judged(judged_otherwise("agl", lambda f: (replace(f, margin=None, passed=False),))(flight().taken()))
+    assert unknown["G5 granting -> agl_m >= 0"].robustness == -1.0, "as false as that it was granted is true"
 
 
 def test_the_state_is_followed_from_what_is_told() -> None:
@@ -289,7 +434,7 @@ def test_what_goes_on_not_to_hold_is_told_once() -> None:
     watch = PropertyWatch(Limits())
     armed = Report(ModeEvent(Mode.ARMED, Mode.ARMED, State.ARMED, Cause.FACING_OPERATOR))
     assert [one.requirement for one in watch.after(Tick(), (armed,), 1.0)] == ["P1"]
-    assert watch.after(Tick(), (), 1.1) == (), "still not paired, and told"
+    assert watch.after(PairingAnswered("red", (), OPERATOR, FLAT), (), 1.1) == (), "still not paired, and told"
     confirmed = Report(PairEvent("red", PairStatus.CONFIRMED))
     released = Report(PairEvent("red", PairStatus.RELEASED))
     assert watch.after(Tick(), (confirmed,), 1.2) == ()
