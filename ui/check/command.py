@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modalities.models.catalogue import ModelError, find_hand_model, find_model
+from modalities.models.catalogue import ModelError, find_denoiser, find_hand_model, find_model
 from modalities.native_output import discarded_stderr
 from ui.check.air import air
 from ui.check.devices import cameras, live_modalities, microphones
@@ -139,6 +139,18 @@ def _hand_model(_wanted: Wanted) -> Iterator[Finding]:
     yield Finding("hand model", State.WORKS, f"{model.sentence}, loaded in {time.monotonic() - began_s:.1f} s")
 
 
+def _denoiser(_wanted: Wanted) -> Iterator[Finding]:
+    from modalities.voice.denoiser import Denoiser
+
+    try:
+        model = find_denoiser()
+        Denoiser(model.path)
+    except ModelError as error:
+        yield Finding("denoiser", State.WEAK, *parts_of(str(error)))
+        return
+    yield Finding("denoiser", State.WORKS, model.sentence)
+
+
 def _ports(wanted: Wanted) -> Iterator[Finding]:
     from m3r_app.ports import PORTS, LinkError, free_udp_block
 
@@ -188,6 +200,7 @@ PARTS: tuple[tuple[str, Callable[[Wanted], Iterable[Finding]]], ...] = (
     ("spoken cues", _cues),
     ("fetching", _fetching),
     ("voice model", _voice_model),
+    ("denoiser", _denoiser),
     ("hand model", _hand_model),
     ("microphone", microphones),
     ("camera", cameras),
