@@ -12,7 +12,7 @@ A broken limit is told once the drone has told its mode since, which takes 3 s a
 EmergencyHold, or has left it for the next maneuver.
 
 `granting`: a decision approves or shortens, and with it the least margin of every rule (`m3r_app/arbiter/margins.py`), in the unit of its
-name: `terrain_clearance_m` and so on; 0 where what is broken is only mended, minus infinity where the rule was not asked. `again`: a
+name: `terrain_clearance_m` and so on; `least_margin` is the least of them all, of rules too that nobody names here; 0 where what is broken is only mended, minus infinity where the rule was not asked. `again`: a
 request begins that was flown before; `scan`: a turn begins, with its `peak_deg_s` and `yaw_limit_deg_s`; `heard`: telemetry came; `idle`: no
 session; `accepted`: the checks before pairing have passed; `confirmed`: pairing is; `stalled`: the guard or the controller dropped what was
 flown; `contradicted`: two modalities ask for different things.
@@ -38,6 +38,7 @@ class Property:
 PROPERTIES: tuple[Property, ...] = (
     Property("P1", "armed -> paired", "no mode of a session is without a confirmed pairing"),
     Property("P2", "start -> O[0,2] cleared", "what is flown was cleared by every constraint within 2 s before"),
+    Property("P2", "granting -> least_margin >= 0", "every rule was asked of what is granted, and permits it"),
     Property("P3", "reduced -> asked_m >= granted_m & granted_m >= 0", "what is shortened is no longer than asked"),
     Property("R1", "start -> O request", "nothing is flown before anything was asked for"),
     Property(

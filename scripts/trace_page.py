@@ -44,9 +44,11 @@ def naming(requirement: str) -> list[str]:
 
 
 def properties(requirement: str) -> str:
-    """The formulas that state it, or a part of it; else why none does."""
+    """The formulas that state it, or a part of it, by its rules at least; else why none does."""
     stating = (one.formula for one in (*PROPERTIES, R11_AS_DESIGNED) if requirement in (one.requirement, *one.also))
     found = "; ".join(f"`{formula}`".replace("|", "\\|") for formula in stating)
+    if not found and served_by(requirement):
+        found = next(f"`{one.formula}`" for one in PROPERTIES if "least_margin" in one.formula)
     return found or f"none: {NO_PROPERTY[requirement]}"
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 
 from m3r_app.output import RETURN, DecisionEvent, FindingTold
+from safety.constraints import RULES
 from safety.declarations import INPUT_CONFIDENCE
 from safety.vocabulary import Verdict
 
@@ -26,7 +27,7 @@ SIGNAL_OF = {
     "separation": "separation_m",
     "reservation": "reservation_m",
 }
-"""The signal of each rule's margin, with its unit; the envelope's is that of its worst bound."""
+"""The signal of a rule's margin, with its unit where it has one; any other rule's has the rule's name."""
 
 
 def approved(decisions: Iterable[DecisionEvent]) -> list[DecisionEvent]:
@@ -40,8 +41,10 @@ def of_granted(found: DecisionEvent) -> tuple[FindingTold, ...]:
 
 
 def margins(granting: list[DecisionEvent]) -> dict[str, float]:
-    """The least margin of each rule over what is granted; 0 where nothing is."""
-    return {signal: min((_margin(rule, one) for one in granting), default=0.0) for rule, signal in SIGNAL_OF.items()}
+    """The least margin of each rule over what is granted, and `least_margin` of them all; 0 where nothing is."""
+    least = {rule.name: min((_margin(rule.name, one) for one in granting), default=0.0) for rule in RULES}
+    signals = {SIGNAL_OF.get(rule, rule): margin for rule, margin in least.items()}
+    return {**signals, "least_margin": min(least.values())}
 
 
 def _margin(rule: str, decision: DecisionEvent) -> float:
