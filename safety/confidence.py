@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from safety.declarations import AUTHORITY, INPUT_CONFIDENCE, LOCALIZATION, TERRAIN_CONFIDENCE
+from safety.estimate import is_astray
 from safety.findings import amount
 from safety.limits import Limits
 from safety.situation import Situation
@@ -50,6 +51,9 @@ def localization(path: Path, situation: Situation, limits: Limits) -> Finding:
     off_m = situation.vehicle.disagreement.norm
     if not off_m <= limits.disagreement_m:
         return LOCALIZATION.refused("", "the drone's position does not move as its velocity says")
+    if is_astray(situation.missed, limits):
+        missed = amount(situation.missed.norm)
+        return LOCALIZATION.refused("", f"the drone's position has missed {missed} that its velocity says it flew")
     sigma_m = situation.vehicle.sigma_m
     confidence = confidence_of(sigma_m, limits.localization_half_m)
     if math.isnan(confidence):

@@ -29,6 +29,10 @@ WANDER = 1.4
 """A short hover shows only part of a slow wander: on a real estimator 8 s show about two thirds of what a minute shows."""
 HOVER_SAMPLE_S = 0.1
 """... and those of a hover whose noise is learnt."""
+FOLLOWED = 0.5
+"""A position that shows at least this share of what was flown by velocity is not stuck along that line."""
+ASTRAY = 1.5
+"""Of the disagreement allowed: less than two maneuvers that a stuck position hid, in one direction, come to."""
 
 
 class Place(NamedTuple):
@@ -99,9 +103,34 @@ def disagreement(vehicle: VehicleState, last: VehicleState | None) -> Ned:
 
 def jump(vehicle: VehicleState, last: VehicleState) -> Ned:
     """How far the position has moved from one report to the next otherwise than the velocity says (m)."""
+    return vehicle.position.minus(last.position).minus(flown(vehicle, last))
+
+
+def flown(vehicle: VehicleState, last: VehicleState) -> Ned:
+    """How far it has moved from one report to the next by what velocity says (m)."""
     dt_s = max(0.0, vehicle.at_s - last.at_s)
-    way = vehicle.position.minus(last.position)
-    return Ned(*(m - 0.5 * dt_s * (v + w) for m, v, w in zip(way, vehicle.velocity, last.velocity, strict=True)))
+    return Ned(*(0.5 * dt_s * (v + w) for v, w in zip(vehicle.velocity, last.velocity, strict=True)))
+
+
+def astray(before: Ned, by_position: Ned, by_velocity: Ned) -> Ned:
+    """What position has missed of all that velocity says was flown (m), with one more maneuver; a stuck estimate adds up.
+
+    by_position, by_velocity: how far the maneuver went by each (m). Where position followed it is right along that line, and
+    what was missed along it before is forgotten; across it nothing is known, and it stays. What is not finite adds nothing:
+    that is refused elsewhere. Source: X6, X11.
+    """
+    missed, way_m = by_velocity.minus(by_position), by_velocity.norm
+    if not (missed.finite and math.isfinite(way_m)):
+        return before
+    if not missed.norm < FOLLOWED * way_m:
+        return before.plus(missed)
+    along = sum(b * v for b, v in zip(before, by_velocity, strict=True)) / (way_m * way_m)
+    return Ned(*(b - along * v for b, v in zip(before, by_velocity, strict=True)))
+
+
+def is_astray(missed: Ned, limits: Limits) -> bool:
+    """Whether position has missed more than one maneuver that was aborted for it explains. Source: X6, X11."""
+    return not missed.norm <= ASTRAY * limits.disagreement_m
 
 
 class HoverSample(NamedTuple):

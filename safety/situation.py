@@ -68,3 +68,5 @@ class Situation:
     """Volumes held by others."""
     world: World
     authority: bool
+    missed: Ned = POINT
+    """What position has missed of all that velocity says was flown in this session (m)."""

@@ -28,9 +28,11 @@ FOUND = """\
 ## What it found
 
 * **A stuck GPS walked the drone away** (2026-11-27): with the position frozen and the velocity right, each move was aborted, and the next one
-  granted from the same place; six moves ended 6.3 m from where it hovered, out of its workspace. Mended: what was missed is added up, and
-  the session ends in Hold at the second such move; the same six requests end 2.8 m away
-  (`test_a_stuck_position_ends_the_session_before_it_is_walked_away_from`).
+  granted from the same place; six moves ended 6.3 m from where it hovered, out of its workspace. The first mend added up only what
+  aborts for disagreement had missed: small steps, and steps down, end by their time or are called done, and six of them went 3.0 m down.
+  Mended: what every maneuver missed is added up, however it ends, until the position follows along that line; then moves are refused and
+  the session ends in Hold, at most 1.7 m away in 120 walks on a table-top
+  (`test_nobody_walks_a_drone_away_from_a_stuck_position`).
 * **With a stuck interpreter setpoints end by themselves**: in the one flight without the guard's process they stopped after 0.86 s, and the
   autopilot's own failsafe held (why is not known; MAVSDK may wait for Python's lock). That the process stops it sooner is not shown;
   that such an app does not go on afterwards is.

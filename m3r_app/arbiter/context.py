@@ -126,4 +126,5 @@ class Step:
             s.reservations,
             session.world,
             s.authority,
+            session.astray,
         )

@@ -14,6 +14,7 @@ from m3r_app.arbiter.effects import Fly, Hold, Release
 from m3r_app.arbiter.state import Flight, Leftover, Tally
 from m3r_app.output import MotionStatus, Notice
 from safety.confidence import unfit_to_fly
+from safety.estimate import astray, flown
 from safety.frames import wrap_deg
 from safety.monitor import Watch, watch
 from safety.planner import full_speed_m_s
@@ -39,15 +40,16 @@ def begin(
     run.do(reports.motion(flight, MotionStatus.STARTED, Ned(0.0, 0.0, 0.0)))
 
 
-def measure(run: Step, vehicle: VehicleState) -> None:
-    """How far it has turned and how fast it has been."""
+def measure(run: Step, vehicle: VehicleState, last: VehicleState | None) -> None:
+    """How far it has turned, how far it has gone by velocity, and how fast it has been."""
     flight = run.state.flight
-    if flight is None:  # pragma: no cover - the state says that something is flown
+    if flight is None or last is None:  # pragma: no cover - the state says that something is flown
         return
     measured = replace(
         flight.measured,
         yaw_deg=flight.measured.yaw_deg + wrap_deg(vehicle.yaw_deg - flight.last_yaw_deg),
         max_speed_m_s=max(flight.measured.max_speed_m_s, run.state.speed_m_s),
+        by_velocity=flight.measured.by_velocity.plus(flown(vehicle, last)),
     )
     run.state = replace(run.state, flight=replace(flight, measured=measured, last_yaw_deg=vehicle.yaw_deg))
 
@@ -94,8 +96,12 @@ def end(run: Step, status: MotionStatus) -> None:
     flight = run.state.flight
     if flight is None:
         return
-    run.do(reports.motion(flight, status, run.vehicle.position.minus(flight.origin)))
+    moved = run.vehicle.position.minus(flight.origin)
+    run.do(reports.motion(flight, status, moved))
     run.do(Release(flight.request_id))
+    if not flight.plan.primitive.is_scan:
+        missed = astray(run.session.astray, moved, flight.measured.by_velocity)
+        run.state = replace(run.state, session=replace(run.session, astray=missed))
     if flight.asked_for:
         run.count(Tally(completed=1) if status is MotionStatus.COMPLETED else Tally(aborted=1))
     run.state = replace(run.state, flight=None)

@@ -67,6 +67,8 @@ def jumped(run: Step, vehicle: VehicleState, last: VehicleState) -> bool:
     if session.centre is not None:
         # The places of the session are what they were; what they are called has changed.
         run.state = replace(run.state, session=replace(session, centre=session.centre.plus(off), hover=()))
+    if run.state.flight is not None:
+        run.state = replace(run.state, flight=replace(run.state.flight, origin=run.state.flight.origin.plus(off)))
     hold_anew(run, f"its position estimate jumped by {off.norm:.1f} m")
     return True
 
@@ -98,9 +100,6 @@ def emergency(run: Step, aborts: list[Breach], news: list[Breach]) -> None:
         if breach.kind == "predicted" or breach in news:
             _report(run, breach, Action.ABORT)
     execution.end(run, MotionStatus.ABORTED)
-    off = run.vehicle.disagreement
-    if off.norm > run.state.limits.disagreement_m:
-        run.state = replace(run.state, session=replace(run.session, astray=run.session.astray.plus(off)))
     run.go(Cause.VIOLATION)
     run.state = replace(run.state, return_at_s=None, may_return=policy == "auto" and outward)
     run.tell(Notice.ABORTED, wording.told(aborts))

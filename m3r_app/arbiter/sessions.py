@@ -26,14 +26,12 @@ from m3r_app.arbiter.events import PairingAnswered
 from m3r_app.arbiter.state import Session
 from m3r_app.output import MotionStatus, Notice, PairStatus
 from safety.confidence import localization
-from safety.estimate import HOVER_SAMPLE_S, adapted, observed, spans_s, too_noisy, with_hover
+from safety.estimate import HOVER_SAMPLE_S, adapted, is_astray, observed, spans_s, too_noisy, with_hover
 from safety.frames import bearing_deg, wrap_deg
 from safety.vocabulary import Cause, Finding, FlightMode, ManeuverRequest, Path, State, VehicleState
 
 TOLD_WHOLE_S = 1.2
 """That it is disarmed, stands and has started anew comes in messages of their own, one of them only once a second."""
-ASTRAY = 1.5
-"""Of the disagreement allowed: less than two maneuvers that were aborted for it, in one direction, come to."""
 OURS = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD})
 """Flight modes in which nobody else flies the drone. Source: design 4."""
 
@@ -228,11 +226,11 @@ def unlocated(run: Step) -> None:
 
 
 def astray(run: Step) -> bool:
-    """Whether it has been flown further from where it believes to be than one maneuver aborted for that explains; then it is over.
+    """Whether it has been flown further from where it believes to be than one aborted maneuver explains; then it is over.
 
     At rest a stuck position is as good as any other, so each next move would be granted from the same place. Source: X6, X11.
     """
-    if not run.session.astray.norm > ASTRAY * run.state.limits.disagreement_m:
+    if run.state.flight is not None or not is_astray(run.session.astray, run.state.limits):
         return False
     if not run.at_rest(run.vehicle):
         return False  # an autopilot's own Hold would fly on to where it brakes to, which a stuck position never reaches

@@ -15,6 +15,7 @@ from safety.monitor import Baseline, Breach
 from safety.situation import World
 from safety.supervisor import Intent
 from safety.vocabulary import (
+    POINT,
     Anchor,
     Decision,
     ManeuverRequest,
@@ -61,8 +62,8 @@ class Session:
     configured: Limits | None = None
     """The limits of the settings, where those of this session are wider, for its estimate is noisy."""
     noise: Noise | None = None
-    astray: Ned = Ned(0.0, 0.0, 0.0)
-    """What its velocity says that it has flown and its position does not, over all the maneuvers aborted for it. Source: X6."""
+    astray: Ned = POINT
+    """What its velocity says that it has flown and its position does not, over all its maneuvers. Source: X6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,8 @@ class Measured:
     min_separation_m: float | None = None
     max_speed_m_s: float = 0.0
     yaw_deg: float = 0.0
+    by_velocity: Ned = POINT
+    """How far it has gone by what velocity says (m)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,6 +107,8 @@ def telemetry(run: Step, heard: VehicleState) -> None:
     trouble = execution.trouble(run, vehicle, last)
     if trouble is not None:
         execution.drop(run, trouble)
+    if sessions.astray(run):
+        return
     match run.state.state:
         case State.FACING:
             sessions.face(run, vehicle)
@@ -114,12 +116,10 @@ def telemetry(run: Step, heard: VehicleState) -> None:
             monitoring.monitor(run)
             requests.come_to_rest(run)
         case State.EXECUTING | State.RETURN_TO_ANCHOR:
-            execution.measure(run, vehicle)
+            execution.measure(run, vehicle, last)
             if monitoring.monitor(run):
                 execution.arrive(run, vehicle)
         case State.EMERGENCY_HOLD:
-            if sessions.astray(run):
-                return
             monitoring.monitor(run)
             monitoring.way_back(run)
             sessions.unlocated(run)

@@ -18,6 +18,7 @@ from m3r_app.arbiter.preview import WAITS, preview
 from m3r_app.arbiter.state import ArbiterState, Leftover, Policy
 from m3r_app.arbiter.step import step
 from m3r_app.output import Notice
+from safety.estimate import ASTRAY
 from safety.limits import Limits
 from safety.supervisor import Intent
 from safety.vocabulary import (
@@ -34,7 +35,7 @@ from safety.vocabulary import (
     VehicleState,
     Verdict,
 )
-from tests.m3r_app.tabletop import Tabletop
+from tests.m3r_app.tabletop import DT_S, PLACE, Tabletop
 from tests.m3r_app.test_arbiter import ball, delayed, facing, flying, held, pairing, settling, waiting, wall_at
 
 
@@ -216,26 +217,84 @@ def test_a_drone_that_fell_silent_is_told_as_that(silent: bool, notice: Notice) 
 
 
 class Stuck(Tabletop):
-    """Its position stays what it was, whatever its velocity says."""
+    """From `stuck` on the position told stays what it was, on `axes`; the drone flies on as its plan's velocity says."""
 
     stuck: Ned | None = None
+    axes = (True, True, True)
+
+    def move(self) -> None:
+        before, plan = self.position, self.plan
+        super().move()
+        if self.stuck is not None and plan is not None:
+            until_s = min(self.now_s - self.since_s, plan.duration_s)
+            since_s = min(max(0.0, self.now_s - self.since_s - DT_S), plan.duration_s)
+            self.position = before.plus(plan.position(until_s).minus(plan.position(since_s)))
 
     def vehicle(self) -> VehicleState:
         told = super().vehicle()
-        return told if self.stuck is None else replace(told, position=self.stuck)
+        if self.stuck is None:
+            return told
+        axes = zip(self.axes, self.stuck, self.position, strict=True)
+        return replace(told, position=Ned(*(stuck if held else true for held, stuck, true in axes)))
+
+    def walk(self, commands: tuple[Command, ...], every_s: float) -> float:
+        """Twelve requests; how far it has truly been from where its position stuck (m)."""
+        start, far_m = self.stuck or self.position, 0.0
+        for i in range(12):
+            if self.state.session is not None:
+                self.ask(commands[i % len(commands)])
+            for _ in range(round(every_s / DT_S)):
+                self.tick()
+                far_m = max(far_m, self.position.minus(start).norm)
+        return far_m
+
+
+def stuck(limits: Limits | None = None, axes: tuple[bool, bool, bool] = (True, True, True)) -> Stuck:
+    table = Stuck(limits=limits)
+    table.paired()
+    table.stuck, table.axes = table.position, axes
+    return table
+
+
+SMALL = replace(Limits(), lateral_step_m=0.4, vertical_step_m=0.3)
+"""Steps that are over before the disagreement within them is too great: they end by their time, or are called done."""
+HEIGHT = (False, False, True)
 
 
 @pytest.mark.requirement("X6", "X11")
-def test_a_stuck_position_ends_the_session_before_it_is_walked_away_from() -> None:
+@pytest.mark.parametrize("every_s", [0.7, 2.0, 5.0, 12.0])
+@pytest.mark.parametrize(
+    ("limits", "commands", "axes"),
+    [
+        (None, (Command.GO_LEFT,), (True, True, True)),
+        (None, (Command.GO_DOWN,), HEIGHT),
+        (None, (Command.GO_DOWN, Command.GO_LEFT), (True, True, True)),
+        (SMALL, (Command.GO_BACK,), (True, True, True)),
+        (SMALL, (Command.GO_DOWN,), HEIGHT),
+    ],
+)
+def test_nobody_walks_a_drone_away_from_a_stuck_position(
+    limits: Limits | None, commands: tuple[Command, ...], axes: tuple[bool, bool, bool], every_s: float
+) -> None:
     """At rest a stuck position is as good as any: without an end each next move would be granted from the same place."""
-    table = Stuck().paired()
-    assert isinstance(table, Stuck)
-    start = table.stuck = table.position
-    for _ in range(6):
-        if table.state.session is not None:
-            table.ask(Command.GO_LEFT)
-        table.wait(5.0)
-    assert table.position.minus(start).norm <= 2.0 * (Limits().lateral_step_m + 0.3)
+    table = stuck(limits, axes)
+    step_m = table.state.limits.lateral_step_m
+    assert table.walk(commands, every_s) <= step_m + ASTRAY * Limits().disagreement_m
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_a_stuck_height_is_found_out_between_moves_that_are_followed() -> None:
+    """A move to the side that the position shows says nothing of the height."""
+    table = stuck(axes=HEIGHT)
+    table.walk((Command.GO_DOWN, Command.GO_LEFT), 5.0)
+    assert table.state.session is None
+    assert table.position.down - PLACE.down <= 2.0 * Limits().vertical_step_m + 0.1
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_what_a_stuck_position_missed_ends_the_session_in_hold() -> None:
+    table = stuck()
+    table.walk((Command.GO_LEFT,), 5.0)
     assert table.state.state is State.IDLE
     assert any("look after its GPS" in reason for reason in table.reports("pair")[-1]["reasons"])
     assert LetGo("hold") in table.log
@@ -244,15 +303,23 @@ def test_a_stuck_position_ends_the_session_before_it_is_walked_away_from() -> No
 @pytest.mark.requirement("X6")
 def test_a_move_and_its_way_back_that_were_missed_are_no_walk() -> None:
     """What was missed one way and then the other leaves the drone where its position says."""
-    table = Stuck().paired()
-    assert isinstance(table, Stuck)
-    table.stuck = table.position
-    table.ask(Command.GO_LEFT)
-    table.wait(5.0)
-    table.ask(Command.GO_RIGHT)
-    table.wait(5.0)
+    table = stuck()
+    assert table.walk((Command.GO_LEFT, Command.GO_RIGHT), 5.0) <= Limits().lateral_step_m
     assert len(table.motions("aborted")) >= 2
     assert table.state.session is not None
+    assert table.state.session.astray.norm <= ASTRAY * Limits().disagreement_m
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_a_request_that_interrupts_is_refused_where_the_position_has_missed_too_much() -> None:
+    """It is decided in the step in which the drone comes to rest, before the session's end is looked at."""
+    table = Tabletop().paired()
+    session = table.state.session
+    assert session is not None
+    table.state = replace(table.state, session=replace(session, astray=Ned(0.0, 0.8, 0.0)))
+    request_id = table.ask(Command.GO_LEFT)
+    assert table.verdicts(request_id) == ["rejected"]
+    assert "localization" in table.failing(request_id)
 
 
 # ---------------------------------------------------------------- where a maneuver is over

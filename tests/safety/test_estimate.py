@@ -11,13 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safety.estimate import (
+    ASTRAY,
     AT_FIRST,
     WANDER,
     HoverSample,
     Motion,
     Noise,
     adapted,
+    astray,
     disagreement,
+    flown,
+    is_astray,
     jump,
     moved,
     observed,
@@ -177,3 +181,40 @@ def test_a_hover_without_a_speed_by_position_is_not_sampled() -> None:
     assert with_hover((), vehicle(at_s=5.0), Motion(0.0, ()), 8.0) == ()
     before = hover(0.1)[:3]
     assert with_hover(before, vehicle(at_s=5.0), Motion(0.0, ()), 8.0) is before
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_what_was_flown_is_the_mean_of_both_velocities_over_the_time_between() -> None:
+    first = replace(vehicle(), at_s=1.0, velocity=Ned(1.0, 0.0, -2.0))
+    then = replace(vehicle(), at_s=1.5, velocity=Ned(3.0, 0.0, 0.0))
+    assert flown(then, first) == pytest.approx((1.0, 0.0, -0.5))
+    assert flown(first, then) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.requirement("X6", "X11")
+@pytest.mark.parametrize(
+    ("before", "by_position", "by_velocity", "after"),
+    [
+        (STILL, STILL, Ned(0.0, -0.5, 0.0), Ned(0.0, -0.5, 0.0)),  # stuck
+        (Ned(0.0, -0.5, 0.0), STILL, Ned(0.0, -0.5, 0.0), Ned(0.0, -1.0, 0.0)),  # again: it adds up
+        (Ned(0.0, -0.5, 0.0), STILL, Ned(0.0, 0.5, 0.0), STILL),  # and back
+        (Ned(0.0, -0.5, 0.4), Ned(0.0, -0.9, 0.0), Ned(0.0, -1.0, 0.0), Ned(0.0, 0.0, 0.4)),  # followed along its line
+        (STILL, Ned(0.0, -0.5, 0.0), Ned(0.0, -1.0, 0.0), Ned(0.0, -0.5, 0.0)),  # half is not followed
+        (STILL, Ned(0.0, -0.51, 0.0), Ned(0.0, -1.0, 0.0), STILL),
+        (Ned(0.0, 0.0, 0.4), STILL, STILL, Ned(0.0, 0.0, 0.4)),  # nothing was flown
+        (Ned(0.0, 0.0, 0.4), Ned(math.nan, 0.0, 0.0), Ned(1.0, 0.0, 0.0), Ned(0.0, 0.0, 0.4)),
+        (Ned(0.0, 0.0, 0.4), STILL, Ned(0.0, math.inf, 0.0), Ned(0.0, 0.0, 0.4)),
+    ],
+)
+def test_what_position_missed_adds_up_until_it_follows(
+    before: Ned, by_position: Ned, by_velocity: Ned, after: Ned
+) -> None:
+    assert astray(before, by_position, by_velocity) == pytest.approx(after)
+
+
+@pytest.mark.requirement("X6", "X11")
+def test_astray_begins_where_more_is_missed_than_one_aborted_maneuver_explains() -> None:
+    most_m = ASTRAY * LIMITS.disagreement_m
+    assert not is_astray(Ned(0.0, most_m, 0.0), LIMITS)
+    assert is_astray(Ned(0.0, 0.0, most_m + 1e-6), LIMITS)
+    assert is_astray(Ned(math.nan, 0.0, 0.0), LIMITS)
