@@ -23,6 +23,7 @@ settings.load_profile("soak" if SOAK else "sample")
 TESTS = Path(__file__).resolve().parent
 PURE = (
     "safety",
+    "mutation",
     "test_golden_flights.py",
     "test_house.py",
     "test_readme.py",

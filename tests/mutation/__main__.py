@@ -177,7 +177,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="how many at a time")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no other after so long")
     parser.add_argument(
-        "--patience", type=float, default=4.0, metavar="S", help="of the processor, for tests of a mutant that pass"
+        "--patience", type=float, default=2.0, metavar="S", help="of the processor, for tests of a mutant that pass"
     )
     parser.add_argument("--mix", action="store_true", help="in any order")
     parser.add_argument("--page", action="store_true", help="write docs/mutation.md")

@@ -37,15 +37,17 @@ class Results:
     def __init__(self, kept: Path, tests: str, patience_s: float) -> None:
         self.path, self.tests, self.patience_s = kept / "results.jsonl", tests, patience_s
         self.known: dict[str, tuple[str, str]] = {}
-        self.once: set[str] = set()
-        """What has been tried before, and is to be tried again."""
+        self.once: dict[str, str] = {}
+        """What became, with other tests or less patience, of those that are to be tried again."""
         kept.mkdir(exist_ok=True)
         for line in self.path.read_text(encoding="utf-8").splitlines() if self.path.is_file() else ():
             each = json.loads(line)
-            if each["status"] == "survived" and each["patience_s"] < patience_s:
-                self.once.add(each["name"])
+            if each["module"] != digest(source(each["of"])):
                 continue
-            if each["module"] == digest(source(each["of"])) and each["tests"] == self._tests_of(each["by"]):
+            untried = each["status"] == "survived" and each["patience_s"] < patience_s
+            if untried or each["tests"] != self._tests_of(each["by"]):
+                self.once[each["name"]] = each["status"]
+            else:
                 self.known[each["name"]] = each["status"], each["by"]
         self.path.touch()
 
@@ -92,6 +94,6 @@ def counted(results: Results, mutants: Iterable[Mutant]) -> Counter[str]:
     said = justified()
     count: Counter[str] = Counter()
     for mutant in mutants:
-        status = results.known.get(mutant.name, ("not tried", ""))[0]
+        status = results.known.get(mutant.name, (results.once.get(mutant.name, "not tried"), ""))[0]
         count["justified" if status == "survived" and mutant.name in said else status] += 1
     return count
