@@ -33,7 +33,6 @@ from m3r_app.record.chain import LINK, LINK_S, Chain
 from m3r_app.record.foxglove_scene import Scene
 from m3r_app.record.foxglove_schemas import SCHEMAS
 from m3r_app.record.foxglove_views import views
-from m3r_app.record.overwriting import is_other_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -76,6 +75,11 @@ class LineWriter(Protocol):
     def line(self, topic: str, data: Mapping[str, object]) -> Line: ...
 
 
+def _is_device_or_empty(path: Path) -> bool:
+    """Whether nothing is lost by writing to what is there."""
+    return path.exists() and (not path.is_file() or not path.stat().st_size)
+
+
 class Recorder:
     """Writes one flight record. Thread-safe; `record` takes microseconds and never blocks, waits or raises."""
 
@@ -92,7 +96,7 @@ class Recorder:
         writers: by topic, of messages that are no plain data; chain: with a key, if the record is to be signed.
 
         on_failure: called on the writing thread, with a sentence, the first time that messages are lost and if writing fails.
-        Raises RecordError where the file cannot be written, or holds something that is no flight record.
+        Raises RecordError where the file cannot be written, or holds something already: a flight is not to be had again.
         """
         self._path = path
         self._on_failure = on_failure
@@ -105,9 +109,9 @@ class Recorder:
         self._wall_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
         self._linked_ns = time.time_ns()
         try:
-            if is_other_file(path, MCAP0_MAGIC, len(MCAP0_MAGIC)):
-                raise RecordError(f"flight record {path} would overwrite a file that is no flight record: name another")
-            self._file: IO[bytes] = path.open("wb")
+            self._file: IO[bytes] = path.open("wb" if _is_device_or_empty(path) else "xb")
+        except FileExistsError:
+            raise RecordError(f"flight record {path} exists already and is not written over: name another") from None
         except OSError as error:
             raise RecordError(f"flight record {path} cannot be written: {error.strerror}") from None
         try:

@@ -354,16 +354,19 @@ def test_a_full_disk_at_the_start_is_one_sentence() -> None:
         Recorder(Path("/dev/full"), {}, no_failure)
 
 
-def test_only_records_are_overwritten(tmp_path: Path) -> None:
-    path = tmp_path / "notes.txt"
-    path.write_text("keep me")
-    with pytest.raises(RecordError, match="would overwrite"):
-        Recorder(path, {}, no_failure)
-    assert path.read_text() == "keep me"
-    path.write_text("")
-    write(path)
-    write(path, MESSAGES[:1])
-    assert len(list(read_record(path))) == 1
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    """Neither a file of somebody's nor an older flight, which cannot be flown again; an empty file holds nothing."""
+    notes, flight = tmp_path / "notes.txt", tmp_path / "flight.mcap"
+    notes.write_text("keep me")
+    with pytest.raises(RecordError, match="exists already and is not written over"):
+        Recorder(notes, {}, no_failure)
+    assert notes.read_text() == "keep me"
+    flight.write_text("")
+    write(flight)
+    before = flight.read_bytes()
+    with pytest.raises(RecordError, match=r"flight\.mcap exists already"):
+        write(flight, MESSAGES[:1])
+    assert flight.read_bytes() == before
 
 
 def test_what_is_no_record_is_one_sentence(tmp_path: Path) -> None:
