@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from safety.vocabulary import ReservedVolume
 from safety.volumes import volumes_meet
@@ -21,14 +22,24 @@ LEASES_MAX = 256
 CLAIMS_MAX = 256
 
 
-@dataclass(frozen=True, slots=True)
-class HeldBy:
-    """A claim: operator and app (inbox) that hold a drone."""
+class App(NamedTuple):
+    """Who asks. operator: the verified signer; inbox: the instance of the app, which others may learn and which alone proves nothing."""
 
     operator: str
     inbox: str
+
+
+@dataclass(frozen=True, slots=True)
+class HeldBy:
+    """A claim."""
+
+    app: App
     fence: int
     until_s: float
+
+    @property
+    def operator(self) -> str:
+        return self.app.operator
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +55,7 @@ class Volume:
     """A lease. fence: of this grant."""
 
     drone: str
-    inbox: str
+    app: App
     volume: ReservedVolume
     fence: int
 
@@ -73,13 +84,11 @@ def no(reason: str) -> Verdict:
     return Verdict(granted=False, reason=reason)
 
 
-def claim(
-    a: Authority, drone: str, operator: str, inbox: str, fence: int | None, now_s: float
-) -> tuple[Authority, Verdict]:
+def claim(a: Authority, drone: str, app: App, fence: int | None, now_s: float) -> tuple[Authority, Verdict]:
     """A drone for an operator's app: new, or renewed. fence: of the claim that the app believes to hold."""
-    a = _expired(a, now_s)
+    a, operator = _expired(a, now_s), app.operator
     held, waits = a.claims.get(drone), a.waiting.get(drone)
-    if held is not None and (held.operator, held.inbox) != (operator, inbox):
+    if held is not None and held.app != app:
         waiting = waits or Waiting(operator, now_s + WANTED_S)
         if waiting.operator == operator:
             waiting = Waiting(operator, now_s + WANTED_S)
@@ -96,18 +105,18 @@ def claim(
     if len(a.claims) >= CLAIMS_MAX:
         return a, no(f"this area has {CLAIMS_MAX} drones claimed and takes no more")
     number = a.fence + 1
-    new = HeldBy(operator, inbox, number, now_s + CLAIM_S)
+    new = HeldBy(app, number, now_s + CLAIM_S)
     waiting_now = {d: w for d, w in a.waiting.items() if d != drone}
     return replace(a, fence=number, claims={**a.claims, drone: new}, waiting=waiting_now), Verdict(
         True, number, CLAIM_S
     )
 
 
-def give_up(a: Authority, drone: str, inbox: str, now_s: float) -> tuple[Authority, Verdict]:
+def give_up(a: Authority, drone: str, app: App, now_s: float) -> tuple[Authority, Verdict]:
     """The holder releases it, with every volume held for it. Whoever waits is first in line from now on."""
     a = _expired(a, now_s)
     held = a.claims.get(drone)
-    if held is None or held.inbox != inbox:
+    if held is None or held.app != app:
         return a, no("it is not held by this app")
     claims = {d: c for d, c in a.claims.items() if d != drone}
     volumes = {k: v for k, v in a.volumes.items() if v.drone != drone}
@@ -115,12 +124,12 @@ def give_up(a: Authority, drone: str, inbox: str, now_s: float) -> tuple[Authori
 
 
 def reserve(
-    a: Authority, drone: str, inbox: str, fence: int, lease: str, volume: ReservedVolume, now_s: float
+    a: Authority, drone: str, app: App, fence: int, lease: str, volume: ReservedVolume, now_s: float
 ) -> tuple[Authority, Verdict]:
     """The volume for a maneuver of a claimed drone, unless it intersects one that another drone holds."""
     a = _expired(a, now_s)
     held = a.claims.get(drone)
-    if held is None or held.inbox != inbox or held.fence != fence:
+    if held is None or held.app != app or held.fence != fence:
         return a, no(f"{drone} is not claimed by this app" if held is None else f"{held.operator} holds {drone}")
     if not _is_whole(volume):
         return a, no("the volume asked for is incomplete")
@@ -133,15 +142,15 @@ def reserve(
     if len(a.volumes) >= LEASES_MAX:
         return a, no(f"this area has {LEASES_MAX} volumes reserved and takes no more")
     number = a.fence + 1
-    new = Volume(drone, inbox, replace(volume, holder=drone), number)
+    new = Volume(drone, app, replace(volume, holder=drone), number)
     return replace(a, fence=number, volumes={**a.volumes, lease: new}), Verdict(True, number, volume.until_s - now_s)
 
 
-def free(a: Authority, drone: str, inbox: str, lease: str, now_s: float) -> tuple[Authority, Verdict]:
+def free(a: Authority, drone: str, app: App, lease: str, now_s: float) -> tuple[Authority, Verdict]:
     """Give a volume back; an unknown one is given back already."""
     a = _expired(a, now_s)
     known = a.volumes.get(lease)
-    if known is not None and (known.drone, known.inbox) != (drone, inbox):
+    if known is not None and (known.drone, known.app) != (drone, app):
         return a, no("it is held by another app")
     return replace(a, volumes={k: v for k, v in a.volumes.items() if k != lease}), Verdict(True)
 

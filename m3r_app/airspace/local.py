@@ -10,9 +10,11 @@ import time
 from collections.abc import Callable
 
 from m3r_app.airspace import authority
-from m3r_app.airspace.authority import Authority
+from m3r_app.airspace.authority import App, Authority
 from m3r_app.airspace.interface import Answered
 from safety.vocabulary import Geodetic, Neighbours, ReservedVolume
+
+HERE = App("you", "here")
 
 
 class LocalAirspace:
@@ -23,23 +25,23 @@ class LocalAirspace:
         self._authority = Authority()
 
     async def claim(self, drone: str, operator: Geodetic) -> str | None:  # noqa: ARG002  (only one stands here)
-        self._authority, verdict = authority.claim(self._authority, drone, "you", "here", None, self._clock())
+        self._authority, verdict = authority.claim(self._authority, drone, HERE, None, self._clock())
         return None if verdict.granted else verdict.reason
 
     def give_up(self, drone: str) -> None:
-        self._authority, _ = authority.give_up(self._authority, drone, "here", self._clock())
+        self._authority, _ = authority.give_up(self._authority, drone, HERE, self._clock())
 
     def lost(self, drone: str) -> str | None:  # noqa: ARG002
         return None
 
     def reserve(self, drone: str, lease: str, volume: ReservedVolume, answered: Answered) -> None:
         now_s = self._clock()
-        self._authority, mine = authority.claim(self._authority, drone, "you", "here", None, now_s)
-        self._authority, verdict = authority.reserve(self._authority, drone, "here", mine.fence, lease, volume, now_s)
+        self._authority, mine = authority.claim(self._authority, drone, HERE, None, now_s)
+        self._authority, verdict = authority.reserve(self._authority, drone, HERE, mine.fence, lease, volume, now_s)
         answered("granted" if verdict.granted else "denied", verdict.reason)
 
     def free(self, drone: str, lease: str) -> None:
-        self._authority, _ = authority.free(self._authority, drone, "here", lease, self._clock())
+        self._authority, _ = authority.free(self._authority, drone, HERE, lease, self._clock())
 
     def held_by_others(self, drone: str) -> tuple[ReservedVolume, ...]:
         self._authority = authority.current(self._authority, self._clock())

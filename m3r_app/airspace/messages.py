@@ -25,17 +25,28 @@ LIMIT_BYTES: dict[type[Topic], int] = {
 }
 """The longest payload per kind of topic, signature included."""
 
+LAT_MAX_DEG, LON_MAX_DEG = 90.0, 180.0
+AMSL_MIN_M, AMSL_MAX_M = -500.0, 20_000.0
+ROUNDING = 1e-6
+"""What goes through a local frame and back comes out this little otherwise (degrees, metres, seconds): a bound still holds it."""
+
 Name = Annotated[str, Field(pattern=f"^{NAME}$")]
 Hex16 = Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 Lease = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,64}$")]
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
-Altitude = Annotated[float, Field(ge=-500.0, le=20_000.0)]
+Latitude = Annotated[float, Field(ge=-LAT_MAX_DEG, le=LAT_MAX_DEG)]
+Longitude = Annotated[float, Field(ge=-LON_MAX_DEG, le=LON_MAX_DEG)]
+Altitude = Annotated[float, Field(ge=AMSL_MIN_M, le=AMSL_MAX_M)]
 Speed = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Sigma = Annotated[float, Field(ge=0.0, le=10_000.0)]
 Fence = Annotated[int, Field(ge=0, le=2**53)]
 Duration = Annotated[float, Field(ge=0.0, le=LEASE_MAX_S)]
 Sentence = Annotated[str, Field(max_length=300)]
+
+
+def within(value: float, least: float, most: float) -> float:
+    """The value, at the bound where it is past it by rounding alone; farther out it stays, to be refused."""
+    near = min(max(float(value), least), most)
+    return near if abs(near - value) <= ROUNDING else float(value)
 
 
 class _Body(BaseModel):
@@ -55,7 +66,12 @@ class Place(_Body):
 
     @staticmethod
     def of(place: Geodetic) -> Place:
-        return Place(lat_deg=float(place.lat_deg), lon_deg=float(place.lon_deg), amsl_m=float(place.amsl_m))
+        """Raises ValidationError where it is no place of this world."""
+        return Place(
+            lat_deg=within(place.lat_deg, -LAT_MAX_DEG, LAT_MAX_DEG),
+            lon_deg=within(place.lon_deg, -LON_MAX_DEG, LON_MAX_DEG),
+            amsl_m=within(place.amsl_m, AMSL_MIN_M, AMSL_MAX_M),
+        )
 
 
 class Velocity(_Body):
@@ -99,7 +115,7 @@ class Capsule(_Body):
             start=Place.of(frame.geodetic(volume.start)),
             end=Place.of(frame.geodetic(volume.end)),
             radius_m=float(volume.radius_m),
-            lasts_s=float(max(0.0, volume.until_s - now_s)),
+            lasts_s=within(max(0.0, volume.until_s - now_s), 0.0, LEASE_MAX_S),
         )
 
 

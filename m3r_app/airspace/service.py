@@ -15,9 +15,10 @@ import time
 from collections.abc import Callable
 
 from m3r_app.airspace import authority
-from m3r_app.airspace.authority import CLAIM_S, Authority, Verdict
+from m3r_app.airspace.authority import CLAIM_S, App, Authority, Verdict
 from m3r_app.airspace.credentials import AirError, Broker, Credentials
 from m3r_app.airspace.messages import (
+    LEASE_MAX_S,
     Answer,
     AskBody,
     Capsule,
@@ -28,6 +29,7 @@ from m3r_app.airspace.messages import (
     HeldClaim,
     HeldVolume,
     Reserve,
+    within,
 )
 from m3r_app.airspace.signed_channel import Received, SignedChannel
 from m3r_app.airspace.store import Store
@@ -142,7 +144,12 @@ class AirspaceService:
                     return
                 if self._clock() - self._heard_at_s > AWAY_S:
                     return  # first hear ourselves again
-                self._answer(topic, body, inbox)
+                try:
+                    self._answer(topic, body, inbox)
+                except Exception as error:  # noqa: BLE001  (one asker must not end it for all; unanswered is refused)
+                    self._say(
+                        f"what {topic.operator} asked for {topic.drone} was left unanswered ({type(error).__name__})"
+                    )
             case _:
                 pass
 
@@ -159,7 +166,7 @@ class AirspaceService:
             id=body.id,
             granted=verdict.granted,
             fence=verdict.fence,
-            lasts_s=max(0.0, verdict.lasts_s),
+            lasts_s=within(verdict.lasts_s, 0.0, LEASE_MAX_S),
             reason=verdict.reason,
         )
         self._channel.send(inbox, answer, self._user, qos=1, correlation=bytes.fromhex(body.id))
@@ -169,19 +176,19 @@ class AirspaceService:
             self._say(f"{topic.operator} has {topic.drone} (no. {verdict.fence})")
 
     def _decide(self, a: Authority, topic: AskTopic, body: AskBody) -> tuple[Authority, Verdict]:
-        now_s = self._clock()
+        now_s, app = self._clock(), App(topic.operator, body.inbox)
         match body.ask:
             case Claim(fence=None) | Reserve() if self._listening:
                 return a, authority.no("the airspace authority has just started: ask again in a moment")
             case Claim(fence=fence):
-                return authority.claim(a, topic.drone, topic.operator, body.inbox, fence, now_s)
+                return authority.claim(a, topic.drone, app, fence, now_s)
             case GiveUp():
-                return authority.give_up(a, topic.drone, body.inbox, now_s)
+                return authority.give_up(a, topic.drone, app, now_s)
             case Reserve() as ask:
                 volume = ask.volume.reserved(topic.drone, EARTH, now_s)
-                return authority.reserve(a, topic.drone, body.inbox, ask.fence, ask.lease, volume, now_s)
+                return authority.reserve(a, topic.drone, app, ask.fence, ask.lease, volume, now_s)
             case Free() as ask:
-                return authority.free(a, topic.drone, body.inbox, ask.lease, now_s)
+                return authority.free(a, topic.drone, app, ask.lease, now_s)
 
     def _fail(self, why: str) -> None:
         if not self._failed.done():

@@ -7,6 +7,7 @@ so ours ends first whatever the network does. Source: P1, X8, X10, R5, R11; pape
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import math
 import secrets
 import time
@@ -73,6 +74,7 @@ class SharedAirspace:
         self.publisher = StatePublisher(self._channel, clock)
         self._channel.link.speaks = lambda: self.publisher.tells
         self._inbox = AnswerTopic(credentials.name, secrets.token_hex(8))
+        self._lease_key = secrets.token_bytes(16)
         self._pending: dict[str, _Pending] = {}
         self._claims: dict[str, _Claimed] = {}
         self._held: Held | None = None
@@ -242,11 +244,7 @@ class SharedAirspace:
                 self._fence = answer.fence
             answered("granted" if answer.granted else "denied", answer.reason)
 
-        try:
-            ask = Reserve(kind="reserve", fence=claimed.fence, lease=self._lease(lease), volume=capsule)
-        except ValidationError:
-            answered("denied", f"{lease!r} is no name for a lease")
-            return
+        ask = Reserve(kind="reserve", fence=claimed.fence, lease=self._lease(lease), volume=capsule)
         self._ask(drone, ask, then)
 
     def free(self, drone: str, lease: str) -> None:
@@ -255,8 +253,8 @@ class SharedAirspace:
             self._ask(drone, Free(kind="free", fence=claimed.fence, lease=self._lease(lease)), lambda _: None)
 
     def _lease(self, lease: str) -> str:
-        """Unlike those of any other app."""
-        return f"{self._inbox.inbox}:{lease}"
+        """Unlike those of any other app; everybody is told of it, and it says nothing of whose it is."""
+        return hashlib.blake2b(lease.encode(), key=self._lease_key, digest_size=16).hexdigest()
 
     def held_by_others(self, drone: str) -> tuple[ReservedVolume, ...]:
         """The live volumes of all other drones, as last told."""

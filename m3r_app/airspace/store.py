@@ -13,7 +13,7 @@ from typing import IO
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from m3r_app.airspace.authority import CLAIM_S, WANTED_S, Authority, HeldBy, Volume, Waiting
+from m3r_app.airspace.authority import CLAIM_S, WANTED_S, App, Authority, HeldBy, Volume, Waiting
 from m3r_app.airspace.credentials import AirError
 from m3r_app.airspace.messages import Capsule, Fence, Hex16, Lease, Name
 from safety.frames import LocalFrame
@@ -38,13 +38,14 @@ class _Waiting(_Row):
 class _Volume(_Row):
     lease: Lease
     drone: Name
+    operator: Name
     inbox: Hex16
     fence: Fence
     volume: Capsule
 
 
 class _Stored(_Row):
-    version: int = 1
+    version: int = 2
     area: Name
     fence: Fence
     claims: list[_Claim]
@@ -88,14 +89,14 @@ class Store:
             raise AirError(
                 f"the authority's memory {self._path} is damaged: if no drone is flown in {self._area}, delete it"
             ) from None
-        if stored.version != 1 or stored.area != self._area:
+        if stored.version != 2 or stored.area != self._area:
             raise AirError(f"{self._path} is the memory of another area or version ({stored.area}): name another file")
         return Authority(
             stored.fence,
-            {c.drone: HeldBy(c.operator, c.inbox, c.fence, now_s + CLAIM_S) for c in stored.claims},
+            {c.drone: HeldBy(App(c.operator, c.inbox), c.fence, now_s + CLAIM_S) for c in stored.claims},
             {w.drone: Waiting(w.operator, now_s + WANTED_S) for w in stored.waiting},
             {
-                v.lease: Volume(v.drone, v.inbox, v.volume.reserved(v.drone, frame, now_s), v.fence)
+                v.lease: Volume(v.drone, App(v.operator, v.inbox), v.volume.reserved(v.drone, frame, now_s), v.fence)
                 for v in stored.volumes
             },
         )
@@ -106,14 +107,16 @@ class Store:
             area=self._area,
             fence=authority.fence,
             claims=[
-                _Claim(drone=d, operator=c.operator, inbox=c.inbox, fence=c.fence) for d, c in authority.claims.items()
+                _Claim(drone=d, operator=c.operator, inbox=c.app.inbox, fence=c.fence)
+                for d, c in authority.claims.items()
             ],
             waiting=[_Waiting(drone=d, operator=w.operator) for d, w in authority.waiting.items()],
             volumes=[
                 _Volume(
                     lease=k,
                     drone=v.drone,
-                    inbox=v.inbox,
+                    operator=v.app.operator,
+                    inbox=v.app.inbox,
                     fence=v.fence,
                     volume=Capsule.of(v.volume, frame, v.volume.from_s),
                 )

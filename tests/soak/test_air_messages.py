@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from m3r_app.airspace import authority, signatures
-from m3r_app.airspace.authority import Authority
+from m3r_app.airspace.authority import App, Authority
 from m3r_app.airspace.credentials import Broker, Credentials
 from m3r_app.airspace.messages import AskBody, Claim, Free, GiveUp, Reserve, State
 from m3r_app.airspace.mqtt_connection import Arrived
@@ -156,23 +156,23 @@ class Air:
         if isinstance(body, State):
             return
         assert isinstance(topic, AskTopic) and isinstance(body, AskBody)
-        a, drone, inbox, ask, now_s = self.authority, topic.drone, body.inbox, body.ask, self.now_s
+        a, drone, app, ask, now_s = self.authority, topic.drone, App(topic.operator, body.inbox), body.ask, self.now_s
         before = authority.current(a, now_s).claims.get(drone)
         match ask:
             case Claim():
-                self.authority, verdict = authority.claim(a, drone, topic.operator, inbox, ask.fence, now_s)
+                self.authority, verdict = authority.claim(a, drone, app, ask.fence, now_s)
             case GiveUp():
-                self.authority, verdict = authority.give_up(a, drone, inbox, now_s)
+                self.authority, verdict = authority.give_up(a, drone, app, now_s)
             case Reserve():
                 volume = ask.volume.reserved(drone, FRAME, now_s)
-                self.authority, verdict = authority.reserve(a, drone, inbox, ask.fence, ask.lease, volume, now_s)
+                self.authority, verdict = authority.reserve(a, drone, app, ask.fence, ask.lease, volume, now_s)
             case Free():
-                self.authority, verdict = authority.free(a, drone, inbox, ask.lease, now_s)
+                self.authority, verdict = authority.free(a, drone, app, ask.lease, now_s)
         self.granted += verdict.granted
         # A holder loses a drone by giving it up or by time, never by what somebody else asks.
         held = self.authority.claims.get(drone)
-        gave_up = isinstance(ask, GiveUp) and before is not None and before.inbox == inbox
-        lost = before is not None and not gave_up and (held is None or held.inbox != before.inbox)
+        gave_up = isinstance(ask, GiveUp) and before is not None and before.app == app
+        lost = before is not None and not gave_up and (held is None or held.app != before.app)
         kept = list(self.authority.volumes.values())
         meet = any(
             a.drone != b.drone and volumes_meet(a.volume, b.volume) for i, a in enumerate(kept) for b in kept[:i]

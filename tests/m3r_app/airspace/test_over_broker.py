@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import aiomqtt
@@ -42,9 +43,11 @@ def volume(drone: str, north_m: float = 0.0, lasts_s: float = 5.0) -> ReservedVo
     return ReservedVolume(drone, Ned(north_m, 0, -10), Ned(north_m + 1, 0, -10), 2.0, now_s, now_s + lasts_s)
 
 
-async def reserved(one: App, drone: str, lease: str, north_m: float = 0.0) -> tuple[str, str]:
+async def reserved(
+    one: App, drone: str, lease: str, north_m: float = 0.0, asked: ReservedVolume | None = None
+) -> tuple[str, str]:
     answered: asyncio.Future[tuple[str, str]] = asyncio.get_running_loop().create_future()
-    one.shared.reserve(drone, lease, volume(drone, north_m), lambda *answer: answered.set_result(answer))
+    one.shared.reserve(drone, lease, asked or volume(drone, north_m), lambda *answer: answered.set_result(answer))
     return await asyncio.wait_for(answered, 2.0)
 
 
@@ -68,6 +71,42 @@ async def test_one_drone_has_one_operator_and_is_handed_over_in_order(air: Broke
         assert await alice.claim("red") == "bob has asked for it before and comes first"
         assert await bob.claim("red") is None
         assert await also_bob.claim("red") == "another app of bob holds it"
+
+
+@pytest.mark.requirement("X8", "X10")
+async def test_nothing_that_one_asks_ends_the_authority(
+    air: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Volumes at the bounds of what may be asked; then one that nobody foresaw: left unanswered, and all others are served."""
+    async with (
+        authority(air, tmp_path / "memory"),
+        app(air, "alice", red=RED) as alice,
+        app(air, "bob", blue=BLUE) as bob,
+    ):
+        assert await alice.claim("red") is None and await bob.claim("blue") is None
+        for i in range(3):
+            low = volume("red", 10.0 * i, 60.0)
+            down_m = 500.0 + HERE.amsl_m
+            wide = replace(
+                low, start=low.start._replace(down=down_m), end=low.end._replace(down=down_m), radius_m=100.0
+            )
+            assert await reserved(alice, "red", f"low{i}", asked=wide) == ("granted", "")
+        decide = AirspaceService._decide
+        monkeypatch.setattr(
+            AirspaceService, "_decide",
+            lambda self, a, topic, body: decide(self, a, topic, body) if topic.operator != "alice" else 1 // 0,
+        )  # fmt: skip
+        alice.shared.free("red", "low0")
+        assert (await reserved(bob, "blue", "b", 1000.0))[0] == "granted"
+
+
+@pytest.mark.requirement("X10")
+async def test_what_is_told_of_a_lease_says_nothing_of_whose_app_it_is(air: Broker, tmp_path: Path) -> None:
+    async with authority(air, tmp_path / "memory"), app(air, "alice", red=RED) as alice:
+        assert await alice.claim("red") is None
+        assert await reserved(alice, "red", "r1") == ("granted", "")
+        (lease,) = json.loads((tmp_path / "memory").read_text())["volumes"]
+        assert alice.shared._inbox.inbox not in lease["lease"] and "r1" not in lease["lease"]
 
 
 @pytest.mark.requirement("R5")

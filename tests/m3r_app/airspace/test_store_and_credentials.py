@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from m3r_app.airspace import authority
-from m3r_app.airspace.authority import CLAIM_S, Authority
+from m3r_app.airspace.authority import CLAIM_S, App, Authority
 from m3r_app.airspace.credentials import AirError, Broker, load_credentials, parse_broker, tls_context
 from m3r_app.airspace.service import EARTH
 from m3r_app.airspace.store import Store
@@ -20,13 +20,13 @@ from safety.vocabulary import Ned, ReservedVolume
 from tests.air import LACKING, MOSQUITTO, ROOT
 
 VOLUME = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 4.0)
-INBOX, OTHER = "a" * 16, "b" * 16
+ALICE, BOB = App("alice", "a" * 16), App("bob", "b" * 16)
 
 
 def granted() -> Authority:
-    a, _ = authority.claim(Authority(), "red", "alice", INBOX, None, 0.0)
-    a, _ = authority.claim(a, "red", "bob", OTHER, None, 0.0)
-    a, verdict = authority.reserve(a, "red", INBOX, 1, f"{INBOX}:r1", VOLUME, 0.0)
+    a, _ = authority.claim(Authority(), "red", ALICE, None, 0.0)
+    a, _ = authority.claim(a, "red", BOB, None, 0.0)
+    a, verdict = authority.reserve(a, "red", ALICE, 1, "r1", VOLUME, 0.0)
     assert verdict.granted
     return a
 
@@ -44,8 +44,8 @@ def test_after_a_start_everything_holds_for_its_full_time(tmp_path: Path) -> Non
     assert volume.volume.until_s == pytest.approx(1004.0) and volume.volume.start == pytest.approx(
         VOLUME.start, abs=1e-5
     )
-    assert not authority.claim(again, "red", "bob", OTHER, None, 1000.0 + CLAIM_S - 0.1)[1].granted
-    assert authority.claim(again, "red", "alice", INBOX, 1, 1000.0 + CLAIM_S - 0.1)[1].granted
+    assert not authority.claim(again, "red", BOB, None, 1000.0 + CLAIM_S - 0.1)[1].granted
+    assert authority.claim(again, "red", ALICE, 1, 1000.0 + CLAIM_S - 0.1)[1].granted
 
 
 def test_renewals_are_not_written(tmp_path: Path) -> None:
@@ -53,16 +53,16 @@ def test_renewals_are_not_written(tmp_path: Path) -> None:
     a = granted()
     store.save(a, EARTH)
     before = (tmp_path / "memory").stat().st_mtime_ns
-    a, _ = authority.claim(a, "red", "alice", INBOX, 1, 3.0)
+    a, _ = authority.claim(a, "red", ALICE, 1, 3.0)
     store.save(a, EARTH)
     assert (tmp_path / "memory").stat().st_mtime_ns == before
 
 
 def test_what_was_prolonged_while_the_authority_was_away_is_kept_too(tmp_path: Path) -> None:
     """A volume of 60 s that was prolonged by a long absence still is one of 60 s."""
-    a, _ = authority.claim(Authority(), "red", "alice", INBOX, None, 0.0)
+    a, _ = authority.claim(Authority(), "red", ALICE, None, 0.0)
     long = ReservedVolume("red", Ned(0, 0, -10), Ned(1, 0, -10), 2.0, 0.0, 60.0)
-    a, _ = authority.reserve(a, "red", INBOX, 1, "x", long, 0.0)
+    a, _ = authority.reserve(a, "red", ALICE, 1, "x", long, 0.0)
     store = Store(tmp_path / "memory", "field")
     store.save(authority.resumed(a, 1000.0), EARTH)
     store.close()

@@ -25,8 +25,10 @@ from m3r_app.airspace.messages import (
     State,
     Velocity,
     read_body,
+    within,
     write_body,
 )
+from m3r_app.airspace.service import EARTH
 from m3r_app.airspace.signatures import Signer
 from m3r_app.airspace.topics import (
     EDGE_M,
@@ -172,3 +174,29 @@ def test_limits_of_the_authority_and_of_the_messages_agree() -> None:
     from m3r_app.airspace import authority
 
     assert authority.CLAIMS_MAX == authority.LEASES_MAX == messages.HELD_MAX
+
+
+@pytest.mark.requirement("X10")
+@pytest.mark.parametrize("lasts_s", [0.0, 4.0, 60.0])
+@pytest.mark.parametrize("amsl_m", [-500.0, 0.0, 20_000.0])
+@pytest.mark.parametrize("lat_deg", [-90.0, 0.0, 46.679, 90.0])
+@pytest.mark.parametrize("lon_deg", [-180.0, 0.0, 7.863, 180.0])
+def test_every_volume_that_can_be_asked_for_can_be_told(
+    lat_deg: float, lon_deg: float, amsl_m: float, lasts_s: float
+) -> None:
+    """Through the authority's frame and clock and back, at the bounds of each field: -500 m comes back as -500.0000000005 m."""
+    place = Place(lat_deg=lat_deg, lon_deg=lon_deg, amsl_m=amsl_m)
+    asked = Capsule(start=place, end=place, radius_m=100.0, lasts_s=lasts_s)
+    for now_s in (0.1, 1234.7, 86_400.3):
+        told = Capsule.of(asked.reserved("red", EARTH, now_s), EARTH, now_s)
+        assert told.start.amsl_m == pytest.approx(amsl_m, abs=1e-5)
+        assert told.lasts_s == pytest.approx(lasts_s, abs=1e-6)
+        assert read_body(write_body(told), Capsule) == told
+
+
+@pytest.mark.parametrize(
+    ("value", "kept"), [(-0.0, 0.0), (-1e-7, 0.0), (-1e-5, -1e-5), (5.0, 5.0), (9.0 + 1e-7, 9.0), (9.1, 9.1)]
+)
+def test_what_is_past_a_bound_by_rounding_is_at_it(value: float, kept: float) -> None:
+    assert within(value, 0.0, 9.0) == kept
+    assert math.isnan(within(math.nan, 0.0, 9.0)), "refused by the field it goes to"
