@@ -13,6 +13,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from m3r_app.airspace import authority
 from m3r_app.airspace.authority import CLAIM_S, App, Authority, Verdict
@@ -35,7 +36,7 @@ from m3r_app.airspace.signed_channel import Received, SignedChannel
 from m3r_app.airspace.store import Store
 from m3r_app.airspace.topics import ROOT, AnswerTopic, AskTopic, HeldTopic
 from safety.frames import LocalFrame
-from safety.vocabulary import Geodetic
+from safety.vocabulary import Geodetic, ReservedVolume
 
 HEARTBEAT_S = 0.5
 LISTEN_S = 1.0
@@ -43,6 +44,33 @@ LISTEN_S = 1.0
 AWAY_S = 1.2
 EARTH = LocalFrame(Geodetic(0.0, 0.0, 0.0))
 """Any local frame will do: it differs from ECEF by a rotation and a shift, which keep distances."""
+
+
+def told(a: Authority, epoch: str, now_s: float) -> Held:
+    """All that is held, as everybody is told. What was prolonged lasts longer than can be said at once: it is told again."""
+    return Held(
+        epoch=epoch,
+        claims=[
+            HeldClaim(
+                drone=drone,
+                operator=claim.operator,
+                fence=claim.fence,
+                lasts_s=min(max(0.0, claim.until_s - now_s), CLAIM_S),
+                wanted_by=a.waiting[drone].operator if drone in a.waiting else None,
+            )
+            for drone, claim in a.claims.items()
+        ],
+        volumes=[
+            HeldVolume(
+                drone=v.drone, lease=lease, fence=v.fence, volume=Capsule.of(_sayable(v.volume, now_s), EARTH, now_s)
+            )
+            for lease, v in a.volumes.items()
+        ],
+    )
+
+
+def _sayable(volume: ReservedVolume, now_s: float) -> ReservedVolume:
+    return replace(volume, until_s=min(volume.until_s, now_s + LEASE_MAX_S))
 
 
 class AirspaceService:
@@ -108,24 +136,7 @@ class AirspaceService:
         now_s = self._clock()
         if now_s - self._heard_at_s <= AWAY_S:  # nothing runs out while nobody can be heard
             self._authority = authority.current(self._authority, now_s)
-        a = self._authority
-        held = Held(
-            epoch=self._epoch,
-            claims=[
-                HeldClaim(
-                    drone=drone,
-                    operator=claim.operator,
-                    fence=claim.fence,
-                    lasts_s=min(max(0.0, claim.until_s - now_s), CLAIM_S),
-                    wanted_by=a.waiting[drone].operator if drone in a.waiting else None,
-                )
-                for drone, claim in a.claims.items()
-            ],
-            volumes=[
-                HeldVolume(drone=v.drone, lease=k, fence=v.fence, volume=Capsule.of(v.volume, EARTH, now_s))
-                for k, v in a.volumes.items()
-            ],
-        )
+        held = told(self._authority, self._epoch, now_s)
         self._channel.send(HeldTopic(self._area), held, self._user)
 
     def _take(self, received: Received) -> None:

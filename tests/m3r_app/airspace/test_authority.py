@@ -12,6 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from m3r_app.airspace import authority
 from m3r_app.airspace.authority import CLAIM_S, CLAIMS_MAX, LEASES_MAX, WANTED_S, App, Authority, HeldBy, Volume
+from m3r_app.airspace.service import told
 from safety.vocabulary import Ned, ReservedVolume
 from safety.volumes import volumes_meet
 
@@ -101,6 +102,17 @@ def test_nobody_else_gets_in_while_the_authority_was_away() -> None:
     a = authority.resumed(claimed(), 100.0)
     assert not authority.claim(a, "red", App("bob", "b"), None, 100.0 + CLAIM_S - 1e-6)[1].granted
     assert authority.claim(a, "red", App("alice", "a"), 1, 100.0 + CLAIM_S - 1e-6)[1].granted
+
+
+@pytest.mark.requirement("X8", "X10")
+def test_what_was_prolonged_can_be_told() -> None:
+    """A volume of a minute that was prolonged while the authority could not be heard lasts longer than a message can say."""
+    a, _ = authority.reserve(claimed(), "red", App("alice", "a"), 1, "x", volume(lasts_s=60.0), 0.0)
+    held = told(authority.resumed(a, 1.3), "0" * 16, 0.5)
+    assert [v.volume.lasts_s for v in held.volumes] == [60.0]
+    assert [c.lasts_s for c in held.claims] == [CLAIM_S]
+    later = told(authority.resumed(a, 1.3), "0" * 16, 31.3)
+    assert later.volumes[0].volume.lasts_s == pytest.approx(30.0)
 
 
 @pytest.mark.requirement("X10")
