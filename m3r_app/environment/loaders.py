@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,12 @@ def _dem(dataset: Any, path: Path, sigma_m: float, frame: LocalFrame) -> Terrain
     if (dataset.units[0] or "m").lower() not in ("m", "metre", "meter", "metres", "meters"):
         raise WorldError(f"DEM {path} gives heights in {dataset.units[0]}, but metres are needed")
 
+    if _THREE_AXES.search(dataset.crs.to_wkt(version="WKT2_2019")):
+        raise WorldError(
+            f"DEM {path} gives heights above the ellipsoid ({dataset.crs.to_string()[:60]}), which can be 100 m off: convert "
+            "it to heights above mean sea level"
+        )
+
     to_pixel = ~dataset.transform
 
     def pixel(north_m: float, east_m: float) -> tuple[float, float]:
@@ -128,6 +135,8 @@ def _dem(dataset: Any, path: Path, sigma_m: float, frame: LocalFrame) -> Terrain
 
 
 _EARTH_M = 6_371_000.0
+_THREE_AXES = re.compile(r"\bCS\[(ellipsoidal|cartesian),\s*3\b", re.IGNORECASE)
+"""Of a coordinate system whose third axis is no height above sea level. Source: OGC 18-010r7 (WKT 2)."""
 
 
 def _heights(dataset: Any, path: Path, window: Window) -> Floats:

@@ -147,6 +147,28 @@ def test_heights_in_feet_are_refused(tmp_path: Path) -> None:
         load_dem(path, 0.1, FRAME)
 
 
+@pytest.mark.requirement("X6")
+@pytest.mark.parametrize("crs", ["EPSG:4979", "OGC:CRS84h", "EPSG:4978"])
+def test_heights_above_the_ellipsoid_are_refused(tmp_path: Path, crs: str) -> None:
+    """They are tens of metres from those above the sea: twelve "go down" were once flown into the ground by such a DEM."""
+    path = write_dem(tmp_path / "dem.tif", "EPSG:4326")
+    with rasterio.open(path, "r+") as dataset:
+        dataset.crs = rasterio.CRS.from_user_input(crs)
+    with pytest.raises(WorldError, match="heights above the ellipsoid") as caught:
+        load_dem(path, 0.1, FRAME)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326+5773", "EPSG:4326+5703"])
+def test_heights_above_a_geoid_in_metres_are_taken(tmp_path: Path, crs: str) -> None:
+    path = write_dem(tmp_path / "dem.tif", "EPSG:4326")
+    with rasterio.open(path, "r+") as dataset:
+        dataset.crs = rasterio.CRS.from_user_input(crs)
+    assert below(load_dem(path, 0.1, FRAME), 3.7, 1.2) == pytest.approx(
+        float(bowl(np.array(3.7), np.array(1.2))), abs=0.03
+    )
+
+
 def ring(*corners_ne_m: tuple[float, float]) -> list[list[float]]:
     places = [FRAME.geodetic(Ned(north, east, 0.0)) for north, east in (*corners_ne_m, corners_ne_m[0])]
     return [[place.lon_deg, place.lat_deg] for place in places]
