@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import platformdirs
 
@@ -49,11 +50,13 @@ class VoiceModel:
 
 
 @dataclass(frozen=True, slots=True)
-class HandModel:
-    """A hand landmark bundle on this machine. origin: how it was found, for people."""
+class _OneFile:
+    """A model in one file on this machine. origin: how it was found, for people."""
 
     path: Path
     origin: str
+    what: ClassVar[str]
+    licence: ClassVar[str]
 
     @property
     def name(self) -> str:
@@ -62,24 +65,19 @@ class HandModel:
     @property
     def sentence(self) -> str:
         """Which model is in use, for the operator."""
-        return f"hand model {self.name} ({LICENCES[HAND_MODEL]}) from {self.origin}, in {self.path.parent}"
+        return f"{self.what} {self.name} ({self.licence}) from {self.origin}, in {self.path.parent}"
 
 
-@dataclass(frozen=True, slots=True)
-class DenoiserModel:
-    """A network that frees a voice of noise, on this machine. origin: how it was found, for people."""
+class HandModel(_OneFile):
+    """A hand landmark bundle."""
 
-    path: Path
-    origin: str
+    what, licence = "hand model", LICENCES[HAND_MODEL]
 
-    @property
-    def name(self) -> str:
-        return self.path.stem
 
-    @property
-    def sentence(self) -> str:
-        """Which model is in use, for the operator."""
-        return f"denoiser {self.name} ({LICENCES[DENOISER_MODEL]}) from {self.origin}, in {self.path.parent}"
+class DenoiserModel(_OneFile):
+    """A network that frees a voice of noise."""
+
+    what, licence = "denoiser", LICENCES[DENOISER_MODEL]
 
 
 def cache_folder() -> Path:
